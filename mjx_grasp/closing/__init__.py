@@ -1,0 +1,1 @@
+"""The closing task: guidance, rewards, stages, observer, environment."""

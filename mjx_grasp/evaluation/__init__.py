@@ -1,0 +1,1 @@
+"""Trials, success, statistics and result files."""

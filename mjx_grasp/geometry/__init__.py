@@ -1,0 +1,1 @@
+"""SO(3) and surface geometry in pure JAX."""

@@ -1,0 +1,1 @@
+"""Pre-grasp states: sampling, inverse kinematics, the dataset file."""

@@ -1,0 +1,1 @@
+"""Grasp-affordance heatmaps: where to grasp a mesh."""

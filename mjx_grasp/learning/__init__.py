@@ -1,0 +1,1 @@
+"""PPO on Brax parts: training state, checkpoints, resume."""

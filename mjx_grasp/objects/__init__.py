@@ -1,0 +1,1 @@
+"""Objects: catalogue, meshes, parametric stand-ins, convex pieces, mass, resting poses."""

@@ -1,0 +1,1 @@
+"""The arm-and-hand description, its MJCF, and its kinematics in JAX."""

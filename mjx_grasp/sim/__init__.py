@@ -1,0 +1,1 @@
+"""Scenes and the two physics engines behind one interface."""

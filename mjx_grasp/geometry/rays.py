@@ -1,0 +1,101 @@
+"""Rays against all triangles of a mesh (Möller–Trumbore), in tiles of bounded memory."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+# Slack on the barycentric weights: a ray through a shared edge must not slip between its faces
+# in float32. On a 5 mm face it is 0.5 µm.
+_EDGE_SLACK = 1e-4
+# |cos| of the angle between ray and normal below which a face counts as edge-on (and unhit).
+_GRAZING = 1e-6
+
+
+class RayHits(NamedTuple):
+    """One hit per ray.
+
+    Attributes:
+        hit: ``[n]`` whether the ray meets the mesh; the rest is finite but void where it does not.
+        distance: ``[n]`` along the ray, in units of the direction's length.
+        face: ``[n]`` index of the face.
+        barycentric: ``[n, 3]`` weights of the face's vertices at the hit.
+    """
+
+    hit: Bool[Array, " n"]
+    distance: Float[Array, " n"]
+    face: Int[Array, " n"]
+    barycentric: Float[Array, "n 3"]
+
+
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _intersect(origin, direction, corner, edge1, edge2):
+    """Möller–Trumbore of rays and triangles: (hit, t, u, v), void where not hit.
+
+    All arguments are tuples of three components, so that everything fuses into one pass.
+    """
+    p = _cross(direction, edge2)
+    determinant = _dot(edge1, p)
+    normal = _cross(edge1, edge2)
+    squared = _dot(normal, normal) * _dot(direction, direction)
+    usable = determinant * determinant > _GRAZING * _GRAZING * squared
+    inverse = 1.0 / jnp.where(usable, determinant, 1.0)
+    s = tuple(origin[k] - corner[k] for k in range(3))
+    u = _dot(s, p) * inverse
+    q = _cross(s, edge1)
+    v = _dot(direction, q) * inverse
+    t = _dot(edge2, q) * inverse
+    inside = (u >= -_EDGE_SLACK) & (v >= -_EDGE_SLACK) & (u + v <= 1.0 + _EDGE_SLACK)
+    return usable & inside, t, u, v
+
+
+def _components(x):
+    return x[..., 0], x[..., 1], x[..., 2]
+
+
+def farthest_hit(
+    origins: Float[Array, "n 3"],
+    directions: Float[Array, "n 3"],
+    triangles: Float[Array, "f 3 3"],
+    min_distance: Float[Array, ""] | float,
+    tile: int = 64,
+) -> RayHits:
+    """The farthest intersection of each ray with the mesh (method §1, step 1).
+
+    Degenerate triangles are never hit. A ray without a direction hits nothing.
+
+    Args:
+        origins: Ray origins in [m].
+        directions: Ray directions, unit.
+        triangles: Corners of the faces in [m].
+        min_distance: Hits nearer than this do not count, [m].
+        tile: Rays worked on at once; bounds the memory to ``tile × f`` numbers.
+    """
+    corner = triangles[:, 0]
+    sides = corner, triangles[:, 1] - corner, triangles[:, 2] - corner
+    mesh = tuple(_components(side) for side in sides)
+
+    def farthest(ray):
+        origin, direction = ray
+        inside, t, _, _ = _intersect(_components(origin), _components(direction), *mesh)
+        reach = jnp.where(inside & (t > min_distance), t, -jnp.inf)
+        return jnp.argmax(reach), jnp.max(reach)
+
+    face, reach = jax.lax.map(farthest, (origins, directions), batch_size=tile)
+    hit = reach > 0
+    met = tuple(_components(side[face]) for side in sides)
+    _, _, u, v = _intersect(_components(origins), _components(directions), *met)
+    weights = jnp.clip(jnp.stack([1.0 - u - v, u, v], axis=-1), 0.0, 1.0)
+    weights = weights / jnp.maximum(jnp.sum(weights, axis=-1, keepdims=True), 1e-6)
+    weights = jnp.where(hit[:, None], weights, 1.0 / 3.0)
+    return RayHits(hit, jnp.where(hit, reach, 0.0), face, weights)

@@ -1,0 +1,131 @@
+import copy
+import dataclasses
+import shutil
+
+import pytest
+import yaml
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.robot.spec import load_robot, main
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return yaml.safe_load(asset_path("robot", "rizon4_hx5d20.yaml").read_text())
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Writes a description beside a copy of the MJCF and returns its path."""
+    shutil.copy(asset_path("robot", "rizon4_hx5d20.xml"), tmp_path)
+
+    def write(content):
+        path = tmp_path / "mine.yaml"
+        path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+        return path
+
+    return write
+
+
+def test_the_shipped_robot():
+    robot = load_robot()
+    hand = robot.hand
+    assert [finger.name for finger in hand.fingers] == ["thumb", "index", "middle"]
+    numbers = [int(name.removeprefix("finger_r_joint")) for name in hand.policy_joints]
+    assert numbers == [2, 3, 4, 6, 7, 8, 10, 11, 12]
+    assert set(hand.held_joints) | set(hand.policy_joints) == set(hand.joints)
+    assert len(hand.held_joints) == 11
+    assert len(robot.joints) == len(robot.home) == len(robot.velocity_limits) == 27
+    assert robot.arm.policy_joints == robot.arm.joints[:6]
+    assert hand.span == (0.02, 0.09) and hand.scoring_friction == 0.5
+
+
+def test_a_users_file_reads_like_the_shipped_one(write, shipped):
+    path = write(shipped)
+    mine, theirs = load_robot(path), load_robot()
+    assert mine.mjcf.parent == path.parent
+    assert dataclasses.replace(mine, mjcf=theirs.mjcf) == theirs
+
+
+def change(content, path, value):
+    """The content with the entry at a path of keys replaced, or removed for ``None``."""
+    content = copy.deepcopy(content)
+    place = content
+    for key in path[:-1]:
+        place = place[key]
+    if value is None:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return content
+
+
+THUMB = ("hand", "fingers", 0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field", "says"),
+    [
+        (("hand", "colour"), "blue", "hand", "colour"),
+        ((*THUMB, "nail"), "short", "hand.fingers[0]", "nail"),
+        (("arm", "home"), None, "arm.home", "nothing"),
+        (("arm", "home"), [0.0] * 6, "arm.home", "6 numbers"),
+        (("arm", "home"), [0.0] * 6 + ["fast"], "arm.home[6]", "fast"),
+        (("arm", "home"), [3.0] + [0.0] * 6, "arm.home (joint1)", "2.8798"),
+        (("arm", "velocity_limits"), [0.0] * 7, "arm.velocity_limits", "above zero"),
+        (("arm", "policy_joints"), ["joint2", "joint1"], "arm.policy_joints", "in this order"),
+        (("hand", "open_posture"), [0.5] * 20, "hand.open_posture (finger_r_joint1)", "-2.3"),
+        (("hand", "span"), [0.09, 0.02], "hand.span", "least < greatest"),
+        (("hand", "span"), [0.02, float("nan")], "hand.span[1]", "finite"),
+        (("hand", "scoring_friction"), -0.5, "hand.scoring_friction", "above zero"),
+        (("hand", "opposing_axis"), [0, 1, 1], "hand.opposing_axis", "length 1"),
+        (("hand", "palm_site"), "palm", "hand.palm_site", "a site of rizon4_hx5d20.xml"),
+        (("hand", "palm_body"), "wrist", "hand.palm_body", "a body of rizon4_hx5d20.xml"),
+        (("hand", "fingers", 2), None, "hand.fingers", "three fingers"),
+        ((*THUMB, "role"), "wrap", "hand.fingers", "thumb, wrap, wrap"),
+        ((*THUMB, "role"), "pinky", "hand.fingers[0].role", "one of thumb, wrap"),
+        ((*THUMB, "name"), "index", "hand.fingers", "another name"),
+        ((*THUMB, "joints", 0), "finger_r_joint99", "hand.fingers[0].joints", "finger_r_joint99"),
+        ((*THUMB, "tip_geom"), "thumb_medial", "hand.fingers[0].tip_geom", "on finger_r_link3"),
+        ((*THUMB, "tip_site"), "palm_site", "hand.fingers[0].tip_site", "hx5_d20_right_base"),
+        ((*THUMB, "pad_site"), "thumb_nail", "hand.fingers[0].pad_site", "thumb_nail"),
+        ((*THUMB, "tip_body"), "finger_r_link8", "hand.fingers[0].tip_body", "finger_r_link4"),
+        (("hand", "joints", 19), None, "hand.open_posture", "19 numbers"),
+        (("arm", "joints", 0), "shoulder", "arm", "shoulder"),
+    ],
+)
+def test_a_wrong_description_is_refused_by_field(write, shipped, path, value, field, says):
+    file = write(change(shipped, path, value))
+    with pytest.raises(InputError) as caught:
+        load_robot(file)
+    assert caught.value.field.startswith(f"{file}: {field}")
+    assert says in str(caught.value)
+
+
+def test_a_joint_that_the_model_has_and_the_description_lacks(write, shipped):
+    content = change(shipped, ("hand", "joints", 19), None)
+    content["hand"]["open_posture"].pop()
+    with pytest.raises(InputError, match="finger_r_joint20"):
+        load_robot(write(content))
+
+
+def test_files_that_cannot_be_read_are_refused(write, shipped, tmp_path):
+    with pytest.raises(FileError, match=r"missing\.yaml"):
+        load_robot(tmp_path / "missing.yaml")
+    with pytest.raises(FileError, match="no valid YAML"):
+        load_robot(write("arm: [1, 2"))
+    with pytest.raises(InputError, match="a mapping"):
+        load_robot(write("just text"))
+    with pytest.raises(FileError, match=r"hand\.xml.*no such file"):
+        load_robot(write(change(shipped, ("mjcf",), "hand.xml")))
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    with pytest.raises(FileError, match=r"broken\.xml.*no MJCF that compiles"):
+        load_robot(write(change(shipped, ("mjcf",), "broken.xml")))
+    with pytest.raises(FileError, match="no such asset"):
+        load_robot("no_such_robot")
+
+
+def test_the_command_reports_what_it_read(write, shipped, capsys):
+    main([str(write(shipped))])
+    assert "20 joints" in capsys.readouterr().out

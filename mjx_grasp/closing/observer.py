@@ -1,0 +1,67 @@
+"""The generalized-momentum observer and the contact flags made from it (method §5)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.closing.config import ClosingConfig
+
+
+class ObserverState(NamedTuple):
+    """Estimated external torques and how long each finger has looked like touching."""
+
+    torque: Float[Array, "*b m"]
+    """τ̂ of the policy's joints [N m]."""
+    ticks: Int[Array, "*b f"]
+
+
+def initial_observer(batch: tuple[int, ...], joints: int, fingers: int) -> ObserverState:
+    """An observer that has seen nothing."""
+    return ObserverState(jnp.zeros((*batch, joints)), jnp.zeros((*batch, fingers), jnp.int32))
+
+
+def observe(
+    state: ObserverState,
+    residual: Float[Array, "*b s m"],
+    q: Float[Array, "*b m"],
+    qd: Float[Array, "*b m"],
+    limits: Float[Array, "m 2"],
+    dry_friction: Float[Array, " m"],
+    physics_dt: float,
+    config: ClosingConfig,
+) -> tuple[ObserverState, Bool[Array, "*b f"]]:
+    """One control tick: r⁺ = (r + K·dt·τ_ext)/(1 + K·dt) per physics step, then the flags.
+
+    A finger touches when its joints have stalled and one of them bears more torque than dry
+    friction and the threshold explain, `contact_ticks` ticks in a row. Joints near a stop are
+    left out: the residual cannot tell a stop from a contact.
+
+    Args:
+        state: The observer.
+        residual: τ_ext at each physics step (`Readings.external_torque`) [N m].
+        q: Policy joint positions [rad].
+        qd: Policy joint velocities [rad/s].
+        limits: Their ranges [rad].
+        dry_friction: Their friction losses [N m].
+        physics_dt: Physics step [s].
+        config: Gains and thresholds.
+    """
+    gain = config.observer_gain * physics_dt
+    torque = state.torque
+    for s in range(residual.shape[-2]):
+        torque = (torque + gain * residual[..., s, :]) / (1.0 + gain)
+    free = (q > limits[:, 0] + config.stop_margin) & (q < limits[:, 1] - config.stop_margin)
+    beyond = jnp.where(free, jnp.maximum(jnp.abs(torque) - dry_friction, 0.0), 0.0)
+    fingers = state.ticks.shape[-1]
+
+    def largest(x: Float[Array, "*b m"]) -> Float[Array, "*b f"]:
+        return jnp.max(x.reshape(*x.shape[:-1], fingers, -1), axis=-1)
+
+    touching = (largest(jnp.abs(qd)) < config.stall_speed) & (
+        largest(beyond) > config.contact_torque
+    )
+    ticks = jnp.where(touching, state.ticks + 1, 0)
+    return ObserverState(torque, ticks), ticks >= config.contact_ticks

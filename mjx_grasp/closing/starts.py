@@ -1,0 +1,207 @@
+"""Start states on the device: the handoffs of a dataset as a table that resets gather from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from mjx_grasp.closing.config import StartNoise
+from mjx_grasp.closing.guidance import goal_frame
+from mjx_grasp.errors import InputError
+from mjx_grasp.geometry import so3
+from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.sim.physics import Readings, WorldParams, make_params
+from mjx_grasp.sim.scene import Scene
+
+
+class StartTable(NamedTuple):
+    """One row per handoff state."""
+
+    object_index: Int[Array, " n"]
+    """Index into the scene's objects."""
+    qpos: Float[Array, "n nq"]
+    ctrl: Float[Array, "n nu"]
+    readings: Readings
+    """What the engine would report at the start, without object offset."""
+    contacts: Float[Array, "n f 3"]
+    """Targets of the pads on the object's surface [m]."""
+    normals: Float[Array, "n f 3"]
+    """Outward unit normals there."""
+    goal_mat: Float[Array, "n f 3 3"]
+    """R*, the pad frames at the contacts."""
+    hull: Float[Array, "k v 3"]
+    """Convex hull vertices of each object, object frame [m], padded by repetition."""
+
+
+class StartDraw(NamedTuple):
+    """What is random about the start of an episode."""
+
+    row: Int[Array, " w"]
+    """Row of the start table."""
+    offset: Float[Array, "w 2"]
+    """Lateral object offset [m]."""
+    rotation: Float[Array, "w 3"]
+    """Object rotation as axis times angle, world frame [rad]."""
+    friction: Float[Array, " w"]
+    mass_scale: Float[Array, " w"]
+
+
+def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTable:
+    """Builds the table on the host with native MuJoCo.
+
+    Args:
+        scene: The scene; it has to hold every object of the set.
+        handoffs: The states.
+        substeps: Physics steps per control tick, the width of `Readings.external_torque`.
+
+    Raises:
+        InputError: The set is empty, or an object of it is not in the scene, or has another
+            shape there.
+    """
+    if len(handoffs.object_index) == 0:
+        raise InputError("handoffs", "no states", "at least one start state")
+    lookup = []
+    for name, digest in zip(handoffs.object_names, handoffs.object_content_hash, strict=True):
+        k = scene.object_index(name)
+        if scene.objects[k].content_hash != digest:
+            raise InputError(
+                f"handoffs of {name}",
+                f"states for another mesh ({digest[:12]})",
+                f"states for the scene's mesh ({scene.objects[k].content_hash[:12]}): use the same "
+                "--objects-dir, or make them again with python -m mjx_grasp.handoffs",
+            )
+        lookup.append(k)
+    at, model = scene.addresses, scene.model
+    n = len(handoffs.object_index)
+    qpos = np.zeros((n, model.nq))
+    qpos[:, at.robot_qpos] = handoffs.q
+    qpos[:, at.object_qpos[:3]] = handoffs.object_pos
+    qpos[:, at.object_qpos[3:]] = handoffs.object_quat
+    ctrl = np.zeros((n, model.nu))
+    ctrl[:, at.robot_ctrl] = handoffs.q
+    readings = _start_readings(scene, qpos, substeps)
+    normals = jnp.asarray(handoffs.target_normal, jnp.float32)
+    return StartTable(
+        object_index=jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32),
+        qpos=jnp.asarray(qpos, jnp.float32),
+        ctrl=jnp.asarray(ctrl, jnp.float32),
+        readings=jax.tree.map(jnp.asarray, readings),
+        contacts=jnp.asarray(handoffs.target_pos, jnp.float32),
+        normals=normals,
+        goal_mat=goal_frame(jnp.asarray(readings.pad_mat), normals),
+        hull=jnp.asarray(_hulls(scene)),
+    )
+
+
+def draw_starts(
+    key: Array, worlds: int, starts: StartTable, noise: StartNoise, weights: Float[Array, " n"]
+) -> StartDraw:
+    """Draws start rows by weight, and the errors of `noise` uniformly.
+
+    Args:
+        key: Random key.
+        worlds: How many.
+        starts: The table.
+        noise: Ranges.
+        weights: Unnormalised probability of each row; see `balanced_weights`.
+    """
+    keys = jax.random.split(key, 6)
+    cumulative = jnp.cumsum(weights)
+    pick = jax.random.uniform(keys[0], (worlds,)) * cumulative[-1]
+    row = jnp.searchsorted(cumulative, pick, side="right").clip(0, len(weights) - 1)
+    axis = jax.random.normal(keys[2], (worlds, 3))
+    axis = axis / jnp.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = noise.angle_rad * jax.random.uniform(keys[3], (worlds, 1))
+    return StartDraw(
+        row=row,
+        offset=noise.offset_m * jax.random.uniform(keys[1], (worlds, 2), minval=-1.0),
+        rotation=axis * angle,
+        friction=_uniform(keys[4], worlds, noise.friction),
+        mass_scale=_uniform(keys[5], worlds, noise.mass_scale),
+    )
+
+
+def balanced_weights(object_index: Int[Array, " n"], objects: int) -> Float[Array, " n"]:
+    """Row weights that make every object equally likely, whatever its number of states."""
+    count = jnp.bincount(object_index, length=objects)
+    return 1.0 / jnp.maximum(count, 1)[object_index]
+
+
+def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Array, "w 7"]:
+    """Object pose after the draw: shifted, turned about its origin, and set on the table again.
+
+    Args:
+        starts: The table.
+        draw: The draw.
+        turned: Whether the draw may hold rotations; without any, the height is left alone.
+
+    Returns:
+        Position [m] and quaternion, world frame.
+    """
+    pos, quat = starts.readings.object_pos[draw.row], starts.readings.object_quat[draw.row]
+    pos = pos.at[:, :2].add(draw.offset)
+    if turned:
+        hull = starts.hull[starts.object_index[draw.row]]
+        angle = jnp.linalg.norm(draw.rotation, axis=-1)
+        axis = draw.rotation / jnp.maximum(angle, 1e-9)[:, None]
+        turned_quat = so3.quat_mul(so3.quat_from_axis_angle(axis, angle), quat)
+        lowest = [
+            jnp.min(so3.quat_rotate(q[:, None], hull)[..., 2], -1) for q in (quat, turned_quat)
+        ]
+        pos = pos.at[:, 2].add(lowest[0] - lowest[1])
+        quat = turned_quat
+    return jnp.concatenate([pos, quat], axis=-1)
+
+
+def draw_params(starts: StartTable, draw: StartDraw) -> WorldParams:
+    """The engine's parameters for a draw."""
+    return make_params(starts.object_index[draw.row], draw.friction, draw.mass_scale)
+
+
+def _uniform(key: Array, worlds: int, bounds: tuple[float, float]) -> Float[Array, " w"]:
+    return jax.random.uniform(key, (worlds,), minval=bounds[0], maxval=bounds[1])
+
+
+def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:
+    model, at = scene.model, scene.addresses
+    data = mujoco.MjData(model)
+    n, f, joints = len(qpos), len(at.pad_sites), model.dof_jntid[at.robot_dof]
+    policy_joints = sum(len(finger.policy_joints) for finger in scene.robot.hand.fingers)
+    rows: dict[str, list[np.ndarray]] = {
+        k: [] for k in ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
+    }
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        rows["palm_pos"].append(data.site_xpos[at.palm_site].copy())
+        rows["palm_mat"].append(data.site_xmat[at.palm_site].reshape(3, 3).copy())
+        rows["pad_pos"].append(data.site_xpos[at.pad_sites])
+        rows["pad_mat"].append(data.site_xmat[at.pad_sites].reshape(f, 3, 3))
+        rows["joint_axis"].append(data.xaxis[joints])
+        rows["joint_anchor"].append(data.xanchor[joints])
+    return Readings(
+        q=qpos[:, at.robot_qpos].astype(np.float32),
+        qd=np.zeros((n, len(at.robot_dof)), np.float32),
+        object_pos=qpos[:, at.object_qpos[:3]].astype(np.float32),
+        object_quat=qpos[:, at.object_qpos[3:]].astype(np.float32),
+        object_vel=np.zeros((n, 6), np.float32),
+        tip_found=np.zeros((n, f), bool),
+        tip_force=np.zeros((n, f, 3), np.float32),
+        finger_force=np.zeros((n, f, 3), np.float32),
+        external_torque=np.zeros((n, substeps, policy_joints), np.float32),
+        constraints=np.zeros(n, np.int32),
+        overflow=np.zeros(n, bool),
+        **{k: np.asarray(v, np.float32) for k, v in rows.items()},
+    )
+
+
+def _hulls(scene: Scene) -> np.ndarray:
+    """Hull vertices per object, padded to one length by repeating the first vertex."""
+    hulls = [np.asarray(o.mesh.convex_hull.vertices, np.float32) for o in scene.objects]
+    longest = max(map(len, hulls))
+    return np.stack([np.concatenate([h, np.repeat(h[:1], longest - len(h), 0)]) for h in hulls])

@@ -1,0 +1,128 @@
+"""Trials: whole episodes without resets, paired between controllers by the seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.closing.config import StartNoise
+from mjx_grasp.closing.env import ClosingEnv, EnvState
+from mjx_grasp.closing.starts import StartDraw, StartTable, draw_starts
+from mjx_grasp.closing.success import failure_classes
+from mjx_grasp.errors import InputError
+
+Controller = Callable[[dict[str, Array]], Float[Array, "w a"]]
+"""Observations in, actions out."""
+
+
+class Trials(NamedTuple):
+    """What came of each trial."""
+
+    row: Int[np.ndarray, " n"]
+    """Row of the start table."""
+    success: Bool[np.ndarray, " n"]
+    never_lifted: Bool[np.ndarray, " n"]
+    slipped: Bool[np.ndarray, " n"]
+    not_held: Bool[np.ndarray, " n"]
+    broken: Bool[np.ndarray, " n"]
+    """The state stopped being finite; counted as never lifted or not held as it was."""
+    force_mean: Float[np.ndarray, " n"]
+    """Finger force, mean over fingers and ticks since lift onset [N]; nan without a lift."""
+    force_peak: Float[np.ndarray, " n"]
+    """Largest force on one finger since lift onset [N]; nan without a lift."""
+    peak_rise: Float[np.ndarray, " n"]
+    """Largest rise of the object [m]."""
+    reward: Float[np.ndarray, " n"]
+    """Sum of rewards."""
+
+
+def zero_controller(env: ClosingEnv) -> Controller:
+    """The model-based command alone: with `grip_force` F this is the squeeze baseline."""
+    return lambda obs: jnp.zeros((obs["state"].shape[0], env.action_size))
+
+
+def paired_draws(
+    starts: StartTable, object_index: int, episodes: int, noise: StartNoise, seed: int
+) -> StartDraw:
+    """Starts of one object, the same for every controller with the same seed.
+
+    Every handoff of the object is used once before any is used twice.
+
+    Raises:
+        InputError: The table has no start of this object.
+    """
+    rows = np.flatnonzero(np.asarray(starts.object_index) == object_index)
+    if len(rows) == 0:
+        raise InputError("objects", f"index {object_index}", "an object with start states")
+    key = jax.random.fold_in(jax.random.PRNGKey(seed), object_index)
+    order = np.random.default_rng((seed, object_index)).permutation(len(rows))
+    picked = rows[order[np.arange(episodes) % len(rows)]]
+    draw = draw_starts(key, episodes, starts, noise, jnp.ones(len(starts.object_index)))
+    return draw._replace(row=jnp.asarray(picked))
+
+
+def run_trials(env: ClosingEnv, controller: Controller, draw: StartDraw, worlds: int) -> Trials:
+    """Runs one episode per row of `draw`, `worlds` at a time.
+
+    Args:
+        env: The task on an engine.
+        controller: The controller.
+        draw: Starts.
+        worlds: Worlds per batch; an MJX engine's own number.
+    """
+    count = len(draw.row)
+    batch = jax.jit(lambda d: _episode(env, controller, d))
+    parts = []
+    for first in range(0, count, worlds):
+        index = np.minimum(np.arange(first, first + worlds), count - 1)
+        part = batch(StartDraw(*(x[index] for x in draw)))
+        parts.append(Trials(*(np.asarray(x)[: count - first] for x in part)))
+    return Trials(*(np.concatenate(p) for p in zip(*parts, strict=True)))
+
+
+def record_trials(
+    env: ClosingEnv, controller: Controller, draw: StartDraw
+) -> tuple[Trials, Float[np.ndarray, "t w nq"]]:
+    """The same, with the positions of every tick, for pictures."""
+
+    def run(d: StartDraw) -> tuple[Trials, Array]:
+        def tick(carry, _):
+            state, obs = carry
+            state, out = env.tick(state, controller(obs))
+            return (state, out.obs), env.physics.pack(state.physics)["qpos"]
+
+        (state, _), qpos = jax.lax.scan(tick, env.start(d), length=env.config.episode_ticks)
+        return _trials(env, state), qpos
+
+    trials, qpos = jax.jit(run)(draw)
+    return jax.tree.map(np.asarray, trials), np.asarray(qpos)
+
+
+def _episode(env: ClosingEnv, controller: Controller, draw: StartDraw) -> Trials:
+    def tick(carry: tuple[EnvState, dict[str, Array]], _: None):
+        state, obs = carry
+        state, out = env.tick(state, controller(obs))
+        return (state, out.obs), out.broken
+
+    (state, _), broken = jax.lax.scan(tick, env.start(draw), length=env.config.episode_ticks)
+    return _trials(env, state)._replace(broken=broken.any(axis=0))
+
+
+def _trials(env: ClosingEnv, state: EnvState) -> Trials:
+    episode = state.episode
+    lift_ticks = jnp.maximum(episode.lift_tick, 1)
+    return Trials(
+        row=episode.row,
+        success=episode.outcome.success,
+        **failure_classes(episode.outcome),
+        broken=episode.broken,
+        force_mean=jnp.where(episode.lifting, episode.force_sum / lift_ticks, jnp.nan),
+        force_peak=jnp.where(episode.lifting, episode.force_peak, jnp.nan),
+        peak_rise=episode.outcome.peak_rise,
+        reward=episode.total_reward,
+    )

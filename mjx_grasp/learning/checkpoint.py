@@ -1,0 +1,103 @@
+"""Checkpoints of the whole training state, written atomically by Orbax."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+
+from mjx_grasp.errors import FileError
+from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.ppo import TrainState
+
+_NAME = re.compile(r"^iteration_(\d+)$")
+
+
+def save_checkpoint(
+    folder: str | Path,
+    state: TrainState,
+    env: BraxClosingEnv,
+    config: dict[str, Any],
+    keep: int = 2,
+) -> Path:
+    """Writes `folder/iteration_N`, complete or not at all, and drops all but the newest `keep`.
+
+    Args:
+        folder: Folder of the run's checkpoints.
+        state: The training state, the environments' own included.
+        env: Knows how to pack the environments.
+        config: Configuration of the run, kept beside the arrays.
+        keep: Checkpoints that stay.
+    """
+    folder = Path(folder).resolve()
+    path = folder / f"iteration_{int(state.iteration):08d}"
+    if path.exists():
+        shutil.rmtree(path)
+    with ocp.Checkpointer(
+        ocp.CompositeCheckpointHandler("state", "config")
+    ) as checkpointer:  # writes to a temporary folder, then renames
+        checkpointer.save(
+            path,
+            ocp.args.Composite(
+                state=ocp.args.StandardSave(_packed(state, env)),
+                config=ocp.args.JsonSave(config),
+            ),
+        )
+    for old in checkpoints(folder)[:-keep]:
+        shutil.rmtree(old)
+    return path
+
+
+def checkpoints(folder: str | Path) -> list[Path]:
+    """Finished checkpoints of a run, oldest first."""
+    folder = Path(folder)
+    found = [p for p in folder.iterdir() if _NAME.match(p.name)] if folder.is_dir() else []
+    return sorted(found, key=lambda p: int(_NAME.match(p.name)[1]))
+
+
+def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingEnv) -> TrainState:
+    """Reads a training state back.
+
+    Args:
+        path: A checkpoint folder.
+        template: A state of the same configuration, for its structure and shapes.
+        env: Knows how to unpack the environments.
+
+    Raises:
+        FileError: The checkpoint is damaged or belongs to another configuration.
+    """
+    path = Path(path).resolve()
+    like = jax.tree.map(ocp.utils.to_shape_dtype_struct, _packed(template, env))
+    try:
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler("state", "config")) as checkpointer:
+            packed = checkpointer.restore(
+                path, ocp.args.Composite(state=ocp.args.StandardRestore(like))
+            )["state"]
+    except Exception as error:
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise FileError(
+            path, f"a checkpoint that cannot be restored ({first[:200]})", "an undamaged checkpoint"
+        ) from error
+    return TrainState(**(packed | {"env": env.unpack(packed["env"])}))
+
+
+def checkpoint_config(path: str | Path) -> dict[str, Any]:
+    """The configuration kept in a checkpoint.
+
+    Raises:
+        FileError: It is missing or damaged.
+    """
+    file = Path(path) / "config" / "metadata"
+    try:
+        return json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise FileError(file, f"no readable configuration ({error})", "a checkpoint") from None
+
+
+def _packed(state: TrainState, env: BraxClosingEnv) -> dict[str, Any]:
+    return state._asdict() | {"env": env.pack(state.env)}

@@ -1,0 +1,79 @@
+"""Where a training's numbers go: CSV and TensorBoard by default, Weights & Biases on request."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from mjx_grasp.errors import InputError
+
+
+class MetricLog:
+    """Appends one row per iteration to `metrics.csv` and to TensorBoard.
+
+    A resumed run first drops the rows that were written after its checkpoint.
+
+    Args:
+        folder: The run's folder.
+        columns: Columns of the CSV, `iteration` first.
+        from_iteration: Iterations already done; later rows are dropped.
+        wandb_project: Project of Weights & Biases, if it is to be used (extra `wandb`).
+        config: The run's configuration, for Weights & Biases.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        columns: tuple[str, ...],
+        from_iteration: int = 0,
+        wandb_project: str | None = None,
+        config: dict[str, Any] | None = None,
+    ):
+        from tensorboardX import SummaryWriter
+
+        self._columns = columns
+        path = folder / "metrics.csv"
+        kept = _rows_until(path, from_iteration) if from_iteration else []
+        self._file = path.open("w", newline="")
+        self._csv = csv.DictWriter(self._file, columns)
+        self._csv.writeheader()
+        self._csv.writerows(kept)
+        self._file.flush()
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=from_iteration + 1)
+        self._wandb = _wandb_run(wandb_project, folder, config) if wandb_project else None
+
+    def write(self, row: dict[str, float]) -> None:
+        """Adds a row; it is on disk when this returns."""
+        self._csv.writerow({name: row[name] for name in self._columns})
+        self._file.flush()
+        step = int(row["env_steps"])
+        for name in self._columns[1:]:
+            if row[name] == row[name]:  # a mean over no episodes is not a number
+                self._board.add_scalar(name, row[name], step)
+        if self._wandb is not None:
+            self._wandb.log(row, step=step)
+
+    def close(self) -> None:
+        """Flushes and closes all of it."""
+        self._file.close()
+        self._board.close()
+        if self._wandb is not None:
+            self._wandb.finish()
+
+
+def _rows_until(path: Path, iteration: int) -> list[dict[str, str]]:
+    if not path.is_file():
+        return []
+    with path.open(newline="") as stream:
+        return [r for r in csv.DictReader(stream) if int(float(r["iteration"])) <= iteration]
+
+
+def _wandb_run(project: str, folder: Path, config: dict[str, Any] | None) -> Any:
+    try:
+        import wandb
+    except ImportError:
+        raise InputError(
+            "wandb_project", project, "the extra 'wandb' (pip install 'mjx_grasp[wandb]')"
+        ) from None
+    return wandb.init(project=project, dir=str(folder), config=config, resume="allow")

@@ -1,0 +1,179 @@
+"""PPO from Brax's parts: its networks, loss, normaliser and rollout, in a resumable loop.
+
+Brax 0.14.2's own `train()` calls `jax.device_put_replicated`, which JAX 0.10 no longer has (brax
+issue 671), and cannot restore the optimiser (brax issue 655). The iteration below follows its
+order of operations with the whole training state in one pytree.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.envs.base import State
+from brax.training import acting
+from brax.training.acme import running_statistics, specs
+from brax.training.agents.ppo import losses, networks
+from brax.training.agents.ppo import optimizer as ppo_optimizer
+from flax import linen
+from jaxtyping import Array, Float
+
+from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
+from mjx_grasp.learning.config import PPOConfig
+
+
+class TrainState(NamedTuple):
+    """Everything a training needs to go on."""
+
+    params: losses.PPONetworkParams
+    optimizer: optax.OptState
+    normalizer: running_statistics.RunningStatisticsState
+    env: State
+    key: Array
+    iteration: Array
+
+
+_SMALLEST_STD = 0.1
+"""A flag that was always 0 must not become 10⁶ standard deviations when it is 1 for once."""
+
+Metrics = dict[str, Float[Array, ""]]
+
+
+def make_networks(config: PPOConfig, env: BraxClosingEnv) -> networks.PPONetworks:
+    """Actor and critic; the critic reads `privileged_state` when the preset says so."""
+    return networks.make_ppo_networks(
+        env.observation_size,
+        env.action_size,
+        preprocess_observations_fn=running_statistics.normalize,
+        policy_hidden_layer_sizes=config.hidden,
+        value_hidden_layer_sizes=config.hidden,
+        activation=linen.elu,
+        policy_obs_key="state",
+        value_obs_key="privileged_state" if config.privileged_critic else "state",
+        distribution_type="normal",
+        noise_std_type="log",
+        init_noise_std=config.action_std,
+        mean_kernel_init_fn=jax.nn.initializers.orthogonal,
+        mean_kernel_init_kwargs={"scale": 0.01},
+    )
+
+
+def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+    """Adam with clipped gradients and a learning rate that the iteration may set."""
+    adam = optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate)
+    return optax.chain(optax.clip_by_global_norm(config.gradient_norm), adam)
+
+
+def init_state(config: PPOConfig, env: BraxClosingEnv, seed: int) -> TrainState:
+    """A training that has not begun."""
+    key, env_key, policy_key, value_key = jax.random.split(jax.random.PRNGKey(seed), 4)
+    nets = make_networks(config, env)
+    params = losses.PPONetworkParams(
+        policy=nets.policy_network.init(policy_key), value=nets.value_network.init(value_key)
+    )
+    shapes = {n: specs.Array(s, jnp.dtype("float32")) for n, s in env.observation_size.items()}
+    return TrainState(
+        params=params,
+        optimizer=make_optimizer(config).init(params),
+        normalizer=running_statistics.init_state(shapes),
+        env=jax.jit(env.reset)(env_key),
+        key=key,
+        iteration=jnp.zeros((), jnp.int32),
+    )
+
+
+def make_iteration(
+    config: PPOConfig, env: BraxClosingEnv
+) -> Callable[[TrainState], tuple[TrainState, Metrics]]:
+    """One PPO iteration: a rollout, then epochs of minibatches. To be jitted by the caller."""
+    nets = make_networks(config, env)
+    optimizer = make_optimizer(config)
+    make_policy = networks.make_inference_fn(nets)
+    loss_and_gradient = jax.value_and_grad(
+        functools.partial(
+            losses.compute_ppo_loss,
+            ppo_network=nets,
+            entropy_cost=config.entropy,
+            discounting=config.discount,
+            reward_scaling=config.reward_scale,
+            gae_lambda=config.gae_lambda,
+            clipping_epsilon=config.clip,
+            vf_coefficient=config.value_weight,
+        ),
+        has_aux=True,
+    )
+
+    def minibatch_step(carry, data, normalizer):
+        optimizer_state, params, key = carry
+        key, loss_key = jax.random.split(key)
+        (_, metrics), gradient = loss_and_gradient(params, normalizer, data, loss_key)
+        if config.desired_kl is not None:
+            optimizer_state, _ = ppo_optimizer.adaptive_kl_learning_rate(
+                optimizer_state, metrics["kl_mean"], config.desired_kl
+            )
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state)
+        metrics["learning_rate"] = optimizer_state[-1].hyperparams["learning_rate"]
+        return (optimizer_state, optax.apply_updates(params, updates), key), metrics
+
+    def epoch(carry, _, data, normalizer):
+        optimizer_state, params, key = carry
+        key, order_key, step_key = jax.random.split(key, 3)
+        order = jax.random.permutation(order_key, config.worlds)
+
+        def shuffled(x: Array) -> Array:
+            return x[order].reshape(config.minibatches, -1, *x.shape[1:])
+
+        (optimizer_state, params, _), metrics = jax.lax.scan(
+            functools.partial(minibatch_step, normalizer=normalizer),
+            (optimizer_state, params, step_key),
+            jax.tree.map(shuffled, data),
+        )
+        return (optimizer_state, params, key), metrics
+
+    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
+        key, rollout_key, sgd_key = jax.random.split(state.key, 3)
+        policy = make_policy((state.normalizer, state.params.policy, state.params.value))
+        env_state, data = acting.generate_unroll(
+            env, state.env, policy, rollout_key, config.unroll, extra_fields=EPISODE_FIELDS
+        )
+        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
+        (optimizer_state, params, _), training = jax.lax.scan(
+            functools.partial(epoch, data=data, normalizer=state.normalizer),
+            (state.optimizer, state.params, sgd_key),
+            length=config.epochs,
+        )
+        # After the updates: the KL that adapts the learning rate compares with the old outputs.
+        normalizer = running_statistics.update(
+            state.normalizer, data.observation, std_min_value=_SMALLEST_STD
+        )
+        metrics = _rollout_metrics(data) | jax.tree.map(jnp.mean, training)
+        return (
+            TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1),
+            metrics,
+        )
+
+    return iterate
+
+
+def _rollout_metrics(data: Any) -> Metrics:
+    """Sums and means over a rollout, episodes counted where they ended."""
+    info = data.extras["state_extras"]
+    episodes = jnp.sum(info["episode_done"])
+    count = jnp.maximum(episodes, 1.0)
+
+    def per_episode(name: str) -> Array:
+        return jnp.where(episodes > 0, jnp.sum(info[name]) / count, jnp.nan)
+
+    return {
+        "reward": jnp.mean(data.reward),
+        "episodes": episodes,
+        "return": per_episode("episode_reward"),
+        "success": per_episode("episode_success"),
+        "force_n": per_episode("episode_force"),
+        "broken_worlds": jnp.sum(info["broken"]),
+        "overflows": jnp.sum(info["overflow"]),
+    }

@@ -1,0 +1,177 @@
+"""The training loop around the iteration: progress, logs, checkpoints, guards."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import MjxGraspError
+from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.checkpoint import save_checkpoint
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.log import MetricLog
+from mjx_grasp.learning.ppo import TrainState, make_iteration
+
+COLUMNS = (
+    "iteration",
+    "env_steps",
+    "seconds",
+    "steps_per_s",
+    "return",
+    "success",
+    "force_n",
+    "reward",
+    "episodes",
+    "broken_worlds",
+    "overflows",
+    "kl_mean",
+    "learning_rate",
+    "policy_loss",
+    "v_loss",
+    "policy_dist_mean_std",
+)
+
+
+class TrainingDiverged(MjxGraspError):
+    """The loss or the parameters stopped being finite; the last good state is on disk."""
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How a training is watched and kept."""
+
+    checkpoint_every_s: float = 60.0
+    """Time between checkpoints [s]; one is always written at the end."""
+    checkpoint_every: int | None = None
+    """Iterations between checkpoints, instead of a time."""
+    wandb_project: str | None = None
+    """Weights & Biases project; needs the extra `wandb`."""
+
+
+def train_loop(
+    folder: Path,
+    state: TrainState,
+    env: BraxClosingEnv,
+    ppo: PPOConfig,
+    loop: LoopConfig,
+    run_config: dict[str, Any],
+) -> TrainState:
+    """Runs the iterations that are left and returns the final state.
+
+    Raises:
+        TrainingDiverged: A NaN in loss or parameters. The state before it was checkpointed, the
+            one after it is in `diverged.npz`.
+    """
+    iteration = jax.jit(make_iteration(ppo, env), donate_argnums=0)
+    start = int(state.iteration)
+    log = MetricLog(folder, COLUMNS, start, loop.wandb_project, run_config)
+    began, saved = time.monotonic(), time.monotonic()
+    recent: dict[str, deque[float]] = {
+        n: deque(maxlen=20) for n in ("return", "success", "force_n")
+    }
+    counted = {"broken_worlds": 0.0, "overflows": 0.0}
+    with _progress() as progress:
+        task = progress.add_task("training (compiling)", total=ppo.iterations, completed=start)
+        for i in range(start, ppo.iterations):
+            tick = time.monotonic()
+            state, metrics = iteration(state)
+            row = {name: float(x) for name, x in jax.device_get(metrics).items()}
+            now = time.monotonic()
+            _guard(folder, state, row)
+            row |= {
+                "iteration": i + 1,
+                "env_steps": (i + 1) * ppo.steps_per_iteration,
+                "seconds": now - began,
+                "steps_per_s": ppo.steps_per_iteration / (now - tick),
+            }
+            log.write(row)
+            for name, values in recent.items():
+                if row[name] == row[name]:
+                    values.append(row[name])
+            for name in counted:
+                counted[name] += row[name]
+            if row["broken_worlds"]:
+                _dump_incident(folder, state, i + 1)
+            progress.update(task, completed=i + 1, description=_describe(row, recent, counted))
+            due = (
+                (i + 1) % loop.checkpoint_every == 0
+                if loop.checkpoint_every
+                else now - saved > loop.checkpoint_every_s
+            )
+            if due or i + 1 == ppo.iterations:
+                save_checkpoint(folder / "checkpoints", state, env, run_config)
+                saved = time.monotonic()
+    log.close()
+    return state
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        refresh_per_second=2,
+    )
+
+
+def _describe(
+    row: dict[str, float], recent: dict[str, deque[float]], counted: dict[str, float]
+) -> str:
+    def mean(name: str) -> float:
+        return float(np.mean(recent[name])) if recent[name] else float("nan")
+
+    text = (
+        f"{row['steps_per_s']:,.0f} steps/s  return {mean('return'):.0f}  "
+        f"success {100 * mean('success'):.0f} %  force {mean('force_n'):.1f} N"
+    )
+    if counted["broken_worlds"]:
+        text += f"  [red]{counted['broken_worlds']:.0f} worlds broken[/red]"
+    if counted["overflows"]:
+        text += f"  [yellow]{counted['overflows']:.0f} buffer overflows[/yellow]"
+    return text
+
+
+def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
+    """Stops a training whose numbers are no numbers, before they reach a checkpoint."""
+    leaves = jax.tree.leaves(state.params)
+    finite = np.isfinite(row["total_loss"]) and all(
+        np.isfinite(x).all() for x in map(np.asarray, leaves)
+    )
+    if finite:
+        return
+    path = folder / "diverged.npz"
+    _save_arrays(path, {"params": state.params, "normalizer": state.normalizer})
+    raise TrainingDiverged(
+        f"{path}: the loss or a parameter is not finite at iteration {int(state.iteration)}; "
+        "the last checkpoint is from before it: lower PPOConfig.learning_rate and resume"
+    )
+
+
+def _dump_incident(folder: Path, state: TrainState, iteration: int) -> None:
+    """Writes the state from which a world stopped being finite."""
+    _save_arrays(folder / f"broken_world_{iteration:08d}.npz", state.env.info["incident"])
+
+
+def _save_arrays(path: Path, tree: Any) -> None:
+    leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
+    arrays = {jax.tree_util.keystr(p): np.asarray(x) for p, x in leaves}
+    with replacing(path) as temporary, open(temporary, "wb") as stream:
+        np.savez(stream, **arrays)

@@ -1,0 +1,222 @@
+"""Native MuJoCo in threads: the reference engine, and the fast one on a CPU.
+
+The engine keeps no state of its own between calls: state goes in and comes out as arrays, through
+`jax.pure_callback`, so that the same environment and the same training loop run on it as on MJX.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.sim.physics import (
+    Readings,
+    WorldParams,
+    check_control_rate,
+    inverse_dynamics_residual,
+    policy_rows,
+)
+from mjx_grasp.sim.scene import Scene, build_scene
+
+
+class NativeState(NamedTuple):
+    """Everything that determines the future of the worlds."""
+
+    qpos: Float[Array, "w nq"]
+    qvel: Float[Array, "w nv"]
+    warmstart: Float[Array, "w nv"]
+    ctrl: Float[Array, "w nu"]
+
+
+class NativePhysics:
+    """Native MuJoCo, one model per object and thread.
+
+    Args:
+        scene: The scene whose objects the worlds hold.
+        control_dt: Control period [s].
+        threads: Worker threads; all cores by default.
+    """
+
+    def __init__(self, scene: Scene, control_dt: float = 0.01, threads: int | None = None):
+        self.scene = scene
+        self.substeps = check_control_rate(scene, control_dt)
+        self._threads = threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads)
+        singles = (
+            [scene]
+            if len(scene.objects) == 1
+            else [build_scene([o], scene.robot, scene.config) for o in scene.objects]
+        )
+        self._workers = [
+            [_World(copy.copy(s.model), s, self.substeps) for s in singles]
+            for _ in range(self._threads)
+        ]
+        self._rows = policy_rows(scene)
+        self._readings = _reading_shapes(scene, self.substeps)
+
+    def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> NativeState:
+        """See `Physics.init`."""
+        zeros = jnp.zeros((qpos.shape[0], self.scene.model.nv), jnp.float32)
+        return NativeState(jnp.asarray(qpos, jnp.float32), zeros, zeros, jnp.asarray(ctrl))
+
+    def reset(
+        self,
+        state: NativeState,
+        mask: Bool[Array, " w"],
+        qpos: Float[Array, "w nq"],
+        ctrl: Float[Array, "w nu"],
+    ) -> NativeState:
+        """See `Physics.reset`."""
+        fresh = self.init(qpos, ctrl)
+        return jax.tree.map(lambda new, old: jnp.where(mask[:, None], new, old), fresh, state)
+
+    def step(
+        self, state: NativeState, params: WorldParams, ctrl: Float[Array, "w nu"]
+    ) -> tuple[NativeState, Readings]:
+        """See `Physics.step`."""
+        worlds = state.qpos.shape[0]
+        shapes = {
+            name: jax.ShapeDtypeStruct((worlds, *shape), dtype)
+            for name, (shape, dtype) in self._readings.items()
+        }
+        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params)
+        state = NativeState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
+        residual = inverse_dynamics_residual(
+            self._rows,
+            out.pop("mass"),
+            out.pop("delta_v"),
+            out.pop("bias"),
+            out.pop("applied"),
+            self.scene.config.physics_dt,
+        )
+        at = self.scene.addresses
+        readings = Readings(
+            q=state.qpos[:, at.robot_qpos],
+            qd=state.qvel[:, at.robot_dof],
+            object_pos=state.qpos[:, at.object_qpos[:3]],
+            object_quat=state.qpos[:, at.object_qpos[3:]],
+            object_vel=state.qvel[:, at.object_dof],
+            external_torque=residual,
+            overflow=jnp.zeros(worlds, bool),
+            **out,
+        )
+        return state, readings
+
+    def pack(self, state: NativeState) -> dict[str, Array]:
+        """See `Physics.pack`."""
+        return state._asdict()
+
+    def unpack(self, packed: dict[str, Array]) -> NativeState:
+        """See `Physics.unpack`."""
+        return NativeState(**packed)
+
+    def _step_host(self, state: NativeState, params: WorldParams) -> dict[str, np.ndarray]:
+        state = NativeState(*(np.asarray(x) for x in state))
+        params = WorldParams(*(np.asarray(x) for x in params))
+        worlds = len(state.qpos)
+        out = {n: np.empty((worlds, *s), d) for n, (s, d) in self._readings.items()}
+
+        def run(thread: int) -> None:
+            mine = self._workers[thread]
+            for w in range(thread, worlds, self._threads):
+                mine[int(params.object_index[w])].step(
+                    w, state, float(params.friction[w]), float(params.mass_scale[w]), out
+                )
+
+        list(self._pool.map(run, range(self._threads)))
+        return out
+
+
+class _World:
+    """One model and its data, which take the place of one world after the other."""
+
+    def __init__(self, model: mujoco.MjModel, scene: Scene, substeps: int):
+        self._model, self._data = model, mujoco.MjData(model)
+        self._at, self._substeps = scene.addresses, substeps
+        # A body whose inertia is diagonal has a shorter M, so addresses differ between objects.
+        self._mass_address = policy_rows(scene).address
+        self._pristine = copy.copy(model)
+        self._settings = (float(model.geom_friction[self._at.object_geoms[0], 0]), 1.0)
+
+    def step(
+        self,
+        w: int,
+        state: NativeState,
+        friction: float,
+        mass_scale: float,
+        out: dict[str, np.ndarray],
+    ) -> None:
+        self._apply(friction, mass_scale)
+        m, d, at = self._model, self._data, self._at
+        d.qpos[:] = state.qpos[w]
+        d.qvel[:] = state.qvel[w]
+        d.qacc_warmstart[:] = state.warmstart[w]
+        d.ctrl[:] = state.ctrl[w]
+        for s in range(self._substeps):
+            before = d.qvel.copy()
+            mujoco.mj_step(m, d)
+            out["delta_v"][w, s] = d.qvel - before
+            out["mass"][w, s] = d.M[self._mass_address]
+            out["bias"][w, s] = d.qfrc_bias
+            out["applied"][w, s] = d.qfrc_actuator + d.qfrc_passive
+        out["qpos"][w] = d.qpos
+        out["qvel"][w] = d.qvel
+        out["warmstart"][w] = d.qacc_warmstart
+        out["palm_pos"][w] = d.site_xpos[at.palm_site]
+        out["palm_mat"][w] = d.site_xmat[at.palm_site].reshape(3, 3)
+        out["pad_pos"][w] = d.site_xpos[at.pad_sites]
+        out["pad_mat"][w] = d.site_xmat[at.pad_sites].reshape(-1, 3, 3)
+        joints = m.dof_jntid[at.robot_dof]
+        out["joint_axis"][w] = d.xaxis[joints]
+        out["joint_anchor"][w] = d.xanchor[joints]
+        out["tip_found"][w] = d.sensordata[at.tip_force[:, 0]] > 0
+        out["tip_force"][w] = d.sensordata[at.tip_force[:, 1:]]
+        out["finger_force"][w] = d.sensordata[at.finger_force[:, 1:]]
+        out["constraints"][w] = d.nefc
+
+    def _apply(self, friction: float, mass_scale: float) -> None:
+        if (friction, mass_scale) == self._settings:
+            return
+        m, pristine, body = self._model, self._pristine, self._at.object_body
+        m.geom_friction[self._at.object_geoms, 0] = friction
+        m.body_mass[body] = pristine.body_mass[body] * mass_scale
+        m.body_inertia[body] = pristine.body_inertia[body] * mass_scale
+        m.body_invweight0[body] = pristine.body_invweight0[body] / mass_scale
+        added = pristine.body_mass[body] * (mass_scale - 1.0)
+        for b in (0, body):
+            m.body_subtreemass[b] = pristine.body_subtreemass[b] + added
+        self._settings = (friction, mass_scale)
+
+
+def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    m, at = scene.model, scene.addresses
+    n, f = len(at.robot_dof), len(at.pad_sites)
+    floats = {
+        "qpos": (m.nq,),
+        "qvel": (m.nv,),
+        "warmstart": (m.nv,),
+        "palm_pos": (3,),
+        "palm_mat": (3, 3),
+        "pad_pos": (f, 3),
+        "pad_mat": (f, 3, 3),
+        "joint_axis": (n, 3),
+        "joint_anchor": (n, 3),
+        "tip_force": (f, 3),
+        "finger_force": (f, 3),
+        "delta_v": (substeps, m.nv),
+        "mass": (substeps, *policy_rows(scene).address.shape),
+        "bias": (substeps, m.nv),
+        "applied": (substeps, m.nv),
+    }
+    shapes = {name: (shape, np.dtype(np.float32)) for name, shape in floats.items()}
+    shapes["tip_found"] = ((f,), np.dtype(bool))
+    shapes["constraints"] = ((), np.dtype(np.int32))
+    return shapes

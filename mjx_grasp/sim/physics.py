@@ -1,0 +1,209 @@
+"""The small interface between physics and everything else: one control tick in, readings out.
+
+Both engines step all worlds by one control tick and fill the same `Readings`. What observes,
+rewards or controls is pure JAX over `Readings` and does not know which engine filled it.
+
+Positions, axes and contacts in `Readings` belong to the state before the last physics step of the
+tick, as MuJoCo leaves them; `q`, `qd` and the object's pose are those after it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.sim.scene import Scene
+
+PhysicsState = Any
+"""An engine's own state: a pytree of arrays with the worlds in front."""
+
+
+class WorldParams(NamedTuple):
+    """What differs between worlds besides their state."""
+
+    object_index: Int[Array, " w"]
+    """Which object of the scene the world holds."""
+    friction: Float[Array, " w"]
+    """Sliding friction of the object's contacts [-]."""
+    mass_scale: Float[Array, " w"]
+    """Factor on the object's mass and inertia [-]."""
+
+
+class Readings(NamedTuple):
+    """What an engine reports after a control tick. World frame, SI units.
+
+    Robot order: arm joints, then hand joints. Fingers in the order of `HandSpec.fingers`.
+    """
+
+    q: Float[Array, "*w n"]
+    """Robot joint positions [rad]."""
+    qd: Float[Array, "*w n"]
+    """Robot joint velocities [rad/s]."""
+    object_pos: Float[Array, "*w 3"]
+    """Object origin [m]."""
+    object_quat: Float[Array, "*w 4"]
+    object_vel: Float[Array, "*w 6"]
+    """Linear velocity [m/s] in the world, angular [rad/s] in the object frame, as MuJoCo has it."""
+    palm_pos: Float[Array, "*w 3"]
+    palm_mat: Float[Array, "*w 3 3"]
+    pad_pos: Float[Array, "*w f 3"]
+    """Pad points [m]."""
+    pad_mat: Float[Array, "*w f 3 3"]
+    """Pad frames; the first column is the pad's outward normal."""
+    joint_axis: Float[Array, "*w n 3"]
+    joint_anchor: Float[Array, "*w n 3"]
+    tip_found: Bool[Array, "*w f"]
+    """Whether the fingertip touches the object."""
+    tip_force: Float[Array, "*w f 3"]
+    """Net contact force of the object on the fingertip or its reaction [N]; use its norm."""
+    finger_force: Float[Array, "*w f 3"]
+    """The same for the whole finger."""
+    external_torque: Float[Array, "*w s m"]
+    """Inverse-dynamics residual of the policy's joints at each physics step of the tick [N m]."""
+    constraints: Int[Array, "*w"]
+    """Constraint rows in use after the last physics step."""
+    overflow: Bool[Array, "*w"]
+    """Whether a contact or constraint buffer overflowed during the tick."""
+
+
+class Physics(Protocol):
+    """Steps worlds of one scene. All methods are pure and may be called inside `jax.jit`."""
+
+    scene: Scene
+    substeps: int
+    """Physics steps per control tick."""
+
+    def init(
+        self,
+        qpos: Float[Array, "w nq"],
+        ctrl: Float[Array, "w nu"],
+    ) -> PhysicsState:
+        """A state at rest."""
+        ...
+
+    def reset(
+        self,
+        state: PhysicsState,
+        mask: Bool[Array, " w"],
+        qpos: Float[Array, "w nq"],
+        ctrl: Float[Array, "w nu"],
+    ) -> PhysicsState:
+        """Puts the masked worlds at rest at `qpos`; the others are untouched."""
+        ...
+
+    def step(
+        self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
+    ) -> tuple[PhysicsState, Readings]:
+        """One control tick with position commands `ctrl` [rad]."""
+        ...
+
+    def pack(self, state: PhysicsState) -> dict[str, Array]:
+        """The arrays that determine the future, for a checkpoint."""
+        ...
+
+    def unpack(self, packed: dict[str, Array]) -> PhysicsState:
+        """The state that `pack` described."""
+        ...
+
+
+class PolicyRows(NamedTuple):
+    """The policy joints' rows of the symmetric mass matrix, as gathers from MuJoCo's M.
+
+    M holds the lower triangle; a row of the whole matrix takes its own entries and those of its
+    descendants' rows. Rows are padded with entries of weight 0.
+    """
+
+    dof: np.ndarray  # [m]
+    address: np.ndarray  # [m, k] into M
+    column: np.ndarray  # [m, k] dof
+    weight: np.ndarray  # [m, k] 1 or 0
+    damping: np.ndarray  # [m] joint damping + actuator velocity gain [N m s/rad]
+
+
+def policy_dofs(scene: Scene) -> np.ndarray:
+    """Degrees of freedom of the fingers' policy joints, finger by finger, [m]."""
+    names = [n for f in scene.robot.hand.fingers for n in f.policy_joints]
+    return np.array([int(scene.model.joint(n).dofadr[0]) for n in names])
+
+
+def policy_rows(scene: Scene) -> PolicyRows:
+    """Builds the gathers of `inverse_dynamics_residual` from the compiled model."""
+    m = scene.model
+    dofs = policy_dofs(scene)
+    rows: dict[int, list[tuple[int, int]]] = {int(d): [] for d in dofs}
+    for i in range(m.nv):
+        start = m.M_rowadr[i]
+        for k in range(m.M_rownnz[i]):
+            j = int(m.M_colind[start + k])
+            if i in rows:
+                rows[i].append((start + k, j))
+            if j in rows and j != i:
+                rows[j].append((start + k, i))
+    width = max(len(r) for r in rows.values())
+    address = np.zeros((len(dofs), width), np.int32)
+    column = np.zeros((len(dofs), width), np.int32)
+    weight = np.zeros((len(dofs), width), np.float32)
+    damping = np.zeros(len(dofs), np.float32)
+    for r, d in enumerate(dofs):
+        for k, (adr, col) in enumerate(rows[int(d)]):
+            address[r, k], column[r, k], weight[r, k] = adr, col, 1.0
+        actuator = next(a for a in range(m.nu) if m.actuator_trnid[a, 0] == m.dof_jntid[d])
+        damping[r] = m.dof_damping[d] - m.actuator_biasprm[actuator, 2]
+    return PolicyRows(dofs, address, column, weight, damping)
+
+
+def inverse_dynamics_residual(
+    rows: PolicyRows,
+    mass: Float[Array, "*w m k"],
+    delta_v: Float[Array, "*w nv"],
+    bias: Float[Array, "*w nv"],
+    applied: Float[Array, "*w nv"],
+    dt: float,
+) -> Float[Array, "*w m"]:
+    """Torque on the policy joints that the model does not explain: contacts, stops, dry friction.
+
+    M Δv/dt + c − τ [N m], the forcing of the momentum observer (method §5), with τ taken at the
+    end of the step: MuJoCo's implicit integrator applies damping at the new velocity.
+
+    Args:
+        rows: From `policy_rows`.
+        mass: MuJoCo's M at `rows.address`, at the start of the physics step.
+        delta_v: Change of velocity over the step [rad/s].
+        bias: qfrc_bias at the start of the step.
+        applied: qfrc_actuator + qfrc_passive at the start of the step.
+        dt: Physics step [s].
+    """
+    inertial = jnp.sum(mass * rows.weight * delta_v[..., rows.column], axis=-1)
+    own = delta_v[..., rows.dof]
+    return inertial / dt + bias[..., rows.dof] - applied[..., rows.dof] + rows.damping * own
+
+
+def make_params(
+    object_index: Int[Array, " w"], friction: float | jax.Array, mass_scale: float | jax.Array = 1.0
+) -> WorldParams:
+    """World parameters with scalars broadcast over the worlds."""
+    index = jnp.asarray(object_index, jnp.int32)
+    return WorldParams(
+        index,
+        jnp.broadcast_to(jnp.asarray(friction, jnp.float32), index.shape),
+        jnp.broadcast_to(jnp.asarray(mass_scale, jnp.float32), index.shape),
+    )
+
+
+def check_control_rate(scene: Scene, control_dt: float) -> int:
+    """Physics steps per control tick.
+
+    Raises:
+        InputError: The control period is no whole number of physics steps.
+    """
+    ratio = control_dt / scene.config.physics_dt
+    if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
+        raise InputError(
+            "control_dt", control_dt, f"a whole multiple of physics_dt {scene.config.physics_dt}"
+        )
+    return round(ratio)

@@ -76,7 +76,7 @@ def init_state(config: PPOConfig, env: BraxClosingEnv, seed: int) -> TrainState:
         policy=nets.policy_network.init(policy_key), value=nets.value_network.init(value_key)
     )
     shapes = {n: specs.Array(s, jnp.dtype("float32")) for n, s in env.observation_size.items()}
-    return TrainState(
+    state = TrainState(
         params=params,
         optimizer=make_optimizer(config).init(params),
         normalizer=running_statistics.init_state(shapes),
@@ -84,6 +84,8 @@ def init_state(config: PPOConfig, env: BraxClosingEnv, seed: int) -> TrainState:
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
+    # Weakly typed leaves would make the second iteration compile anew.
+    return jax.tree.map(lambda x: jax.lax.convert_element_type(x, jnp.result_type(x)), state)
 
 
 def make_iteration(

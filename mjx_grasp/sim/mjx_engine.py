@@ -46,7 +46,7 @@ class MjxPhysics:
         self.scene, self.num_worlds = scene, num_worlds
         self.substeps = check_control_rate(scene, control_dt)
         self._model = mjx.put_model(scene.model, impl="warp")
-        self._buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
+        self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
         self._rows = policy_rows(scene)
         names = (*ObjectFields.NAMES, "geom_friction")
         self._axes = jax.tree.map(lambda _: None, self._model).tree_replace(dict.fromkeys(names, 0))
@@ -62,7 +62,7 @@ class MjxPhysics:
 
     def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> mjx.Data:
         """See `Physics.init`."""
-        one = mjx.make_data(self.scene.model, impl="warp", **self._buffers)
+        one = mjx.make_data(self.scene.model, impl="warp", **self.buffers)
         data = jax.vmap(lambda q, c: one.replace(qpos=q, ctrl=c))(
             jnp.asarray(qpos, jnp.float32), jnp.asarray(ctrl, jnp.float32)
         )
@@ -73,7 +73,9 @@ class MjxPhysics:
             jnp.full(self.num_worlds, self.scene.config.friction[0]),
             jnp.ones(self.num_worlds),
         )
-        warm = jax.vmap(mjx.step, in_axes=(self._axes, 0))(self._world_models(params), data)
+        warm = jax.vmap(mjx.step, in_axes=(self._axes, 0))(
+            self._model.tree_replace(self.world_fields(params)), data
+        )
         return self.reset(warm, jnp.ones(self.num_worlds, bool), qpos, ctrl)
 
     def reset(
@@ -100,7 +102,7 @@ class MjxPhysics:
         self, state: mjx.Data, params: WorldParams, ctrl: Float[Array, "w nu"]
     ) -> tuple[mjx.Data, Readings]:
         """See `Physics.step`."""
-        models = self._world_models(params)
+        models = self._model.tree_replace(self.world_fields(params))
         step = jax.vmap(mjx.step, in_axes=(self._axes, 0))
         data = state.replace(ctrl=ctrl)
         residuals, overflow = [], jnp.zeros(self.num_worlds, bool)
@@ -128,8 +130,8 @@ class MjxPhysics:
         """See `Physics.unpack`."""
         return self.init(packed["qpos"], packed["ctrl"]).replace(**packed)
 
-    def _world_models(self, params: WorldParams) -> mjx.Model:
-        """The model with each world's own object, friction and mass."""
+    def world_fields(self, params: WorldParams) -> dict[str, Array]:
+        """Model fields of each world: its own object, friction and mass, [w, ...] each."""
         table = self.scene.object_fields
         rows = {
             name: jnp.asarray(getattr(table, name), jnp.float32)[params.object_index]
@@ -144,7 +146,7 @@ class MjxPhysics:
         rows["body_invweight0"] /= change[..., None]
         base = jnp.asarray(self.scene.model.geom_friction, jnp.float32)
         rows["geom_friction"] = base + self._slides * (params.friction[:, None, None] - base)
-        return self._model.tree_replace(rows)
+        return rows
 
     def _read(self, data: mjx.Data, residual: Array, overflow: Array) -> Readings:
         at = self.scene.addresses

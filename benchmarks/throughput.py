@@ -1,0 +1,223 @@
+"""Control steps per second of the whole PPO loop, against plain MuJoCo Warp on the same scene.
+
+For each number of worlds it times, on the same device in the same process:
+
+  warp       MuJoCo Warp alone, the control tick's physics steps in one CUDA graph, no JAX
+  mjx        the same steps through `mjx.step` inside a jitted scan
+  task       the closing environment (commands, readings, rewards, stages), zero actions
+  rollout    the same with the policy, resets and the record of transitions
+  ppo        whole PPO iterations: rollout and updates
+
+All of them start from one state, taken from a running training after `--warm-up` iterations, so
+that fingers hold objects and contacts are what a training meets. Medians of `--repeats` runs;
+compilation is timed apart.
+
+  python benchmarks/throughput.py --objects train --objects-dir DIR --handoffs FILE --out FILE.json
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from brax.training import acting
+from brax.training.agents.ppo import networks
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.closing.assemble import build_scene_of, build_world
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.learning import ppo
+from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.memory import bytes_per_world
+from mjx_grasp.provenance import provenance
+from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.scene import SceneConfig
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig:
+    """What to measure."""
+
+    handoffs: Path
+    out: Path
+    objects: tuple[str, ...] = ("train",)
+    objects_dir: Path | None = None
+    settings: tuple[str, ...] = ("1024x64", "8192x16")
+    """Worlds x unroll."""
+    warm_up: int = 6
+    """PPO iterations before anything is timed; 1,600 s of simulated time at 1024x64."""
+    repeats: int = 5
+    ticks: int = 64
+    """Control ticks of a timed run of warp, mjx and task."""
+    seed: int = 0
+
+
+def median_seconds(run: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of a run that waits for its result."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(run())
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
+    """A jitted function, compiled and run once, and how long that took."""
+    start = time.perf_counter()
+    jitted = jax.jit(function)
+    jax.block_until_ready(jitted(*args))
+    return jitted, time.perf_counter() - start
+
+
+def plain_warp(physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats: int) -> float:
+    """Seconds per control tick of MuJoCo Warp alone, replaying one CUDA graph per tick."""
+    import mujoco.mjx.third_party.mujoco_warp as mjw
+    import warp as wp
+
+    worlds, model = physics.num_worlds, physics.scene.model
+    m = mjw.put_model(model)
+    m.opt.warn_overflow = False
+    d = mjw.make_data(model, nworld=worlds, **physics.buffers)
+    for name, rows in physics.world_fields(params).items():
+        field = getattr(m, name)
+        setattr(m, name, wp.array(np.asarray(rows), dtype=field.dtype))
+    for name in ("qpos", "qvel", "ctrl", "qacc_warmstart"):
+        wp.copy(getattr(d, name), wp.array(np.asarray(getattr(state, name)), dtype=float))
+
+    def tick() -> None:
+        for _ in range(physics.substeps):
+            mjw.step(m, d)
+
+    tick()
+    if wp.get_device().is_cuda:
+        with wp.ScopedCapture() as capture:
+            tick()
+        replay = lambda: wp.capture_launch(capture.graph)  # noqa: E731
+    else:
+        replay = tick
+
+    def run() -> None:
+        for _ in range(ticks):
+            replay()
+        wp.synchronize()
+
+    run()
+    return median_seconds(run, repeats) / ticks
+
+
+def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]:
+    """All timings of one setting."""
+    task = ClosingConfig()
+    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
+    world = build_world(scene, load_handoffs(config.handoffs), task)
+    settings = PPOConfig(worlds=worlds, unroll=unroll)
+    env = BraxClosingEnv(world.env("mjx", worlds, task), worlds)
+    physics = env.env.physics
+
+    state = ppo.init_state(settings, env, config.seed)
+    start = time.perf_counter()
+    iteration = jax.jit(ppo.make_iteration(settings, env), donate_argnums=0)
+    state, metrics = iteration(state)
+    jax.block_until_ready(metrics)
+    compile_s = {"ppo": time.perf_counter() - start}
+    for _ in range(config.warm_up):
+        state, metrics = iteration(state)
+    jax.block_until_ready(metrics)
+
+    steps = worlds * unroll
+    seconds: dict[str, float] = {}
+    times = []
+    for _ in range(config.repeats):
+        start = time.perf_counter()
+        state, metrics = iteration(state)
+        jax.block_until_ready(metrics)
+        times.append(time.perf_counter() - start)
+    seconds["ppo"] = statistics.median(times) / unroll
+
+    nets = ppo.make_networks(settings, env)
+    policy = networks.make_inference_fn(nets)(
+        (state.normalizer, state.params.policy, state.params.value)
+    )
+
+    def rollout(s):
+        final, data = acting.generate_unroll(
+            env, s, policy, jax.random.PRNGKey(0), unroll, extra_fields=EPISODE_FIELDS
+        )
+        return final.obs, jax.tree.map(jnp.sum, data)
+
+    inner = state.env.pipeline_state
+    zeros = jnp.zeros((worlds, env.action_size))
+
+    def task_ticks(s):
+        def tick(carry, _):
+            carry, out = env.env.tick(carry, zeros)
+            return carry, out.reward
+
+        final, reward = jax.lax.scan(tick, s, length=config.ticks)
+        return final.readings, reward
+
+    def mjx_ticks(s):
+        def tick(carry, _):
+            carry, readings = physics.step(carry, inner.params, s.ctrl)
+            return carry, readings.q
+
+        final, q = jax.lax.scan(tick, s, length=config.ticks)
+        return final.qpos, q
+
+    for name, function, argument, ticks in (
+        ("rollout", rollout, state.env, unroll),
+        ("task", task_ticks, inner, config.ticks),
+        ("mjx", mjx_ticks, inner.physics, config.ticks),
+    ):
+        jitted, compile_s[name] = compiled(function, argument)
+        run = lambda f=jitted, x=argument: f(x)  # noqa: E731
+        seconds[name] = median_seconds(run, config.repeats) / ticks
+    seconds["warp"] = plain_warp(physics, inner.physics, inner.params, config.ticks, config.repeats)
+    rates = {name: worlds / s for name, s in seconds.items()}
+    memory = jax.devices()[0].memory_stats() or {}
+    return {
+        "worlds": worlds,
+        "unroll": unroll,
+        "objects": len(scene.objects),
+        "pieces": len(scene.addresses.object_geoms),
+        "control_steps_per_s": rates,
+        "ms_per_control_tick": {name: 1e3 * s for name, s in seconds.items()},
+        "ratio_ppo_to_warp": rates["ppo"] / rates["warp"],
+        "compile_s": compile_s,
+        "bytes_per_world": bytes_per_world(scene, unroll),
+        "peak_bytes": memory.get("peak_bytes_in_use"),
+        "mean_constraints": float(jnp.mean(inner.readings.constraints)),
+        "max_constraints": int(jnp.max(inner.readings.constraints)),
+        "overflows": float(metrics["overflows"]),
+        "steps_per_iteration": steps,
+    }
+
+
+def main(config: BenchmarkConfig) -> None:
+    """Measures, prints a table and writes the file after each setting."""
+    rows = []
+    for setting in config.settings:
+        worlds, unroll = (int(x) for x in setting.split("x"))
+        rows.append(measure(config, worlds, unroll))
+        print(json.dumps(rows[-1], indent=1), flush=True)
+        with replacing(config.out) as temporary:
+            temporary.write_text(
+                json.dumps({"rows": rows, "provenance": provenance(config.seed)}, indent=1)
+            )
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(BenchmarkConfig, description=__doc__)))

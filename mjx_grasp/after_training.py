@@ -1,0 +1,95 @@
+"""What follows a training: evaluation against its baselines, a video of a grasp, a report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+
+from mjx_grasp.closing.assemble import World, build_world
+from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.evaluate import EvaluateConfig, evaluate, policy_task
+from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.tables import success_table
+from mjx_grasp.evaluation.trials import paired_draws, record_trials
+from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.learning.policy import Policy, load_policy
+from mjx_grasp.provenance import provenance
+from mjx_grasp.viz.report import write_report
+from mjx_grasp.viz.trajectory import record_world, save_trajectory
+from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
+
+if TYPE_CHECKING:
+    from mjx_grasp.train import TrainConfig
+
+SQUEEZE_FORCES_N = (3.0, 5.0)
+
+
+def evaluate_and_report(
+    folder: Path, config: TrainConfig, world: World, states: HandoffSet, console: Console
+) -> None:
+    """Evaluates in native MuJoCo on states that the training did not see, and writes report.html.
+
+    Args:
+        folder: The run.
+        config: Its configuration.
+        world: Its scene.
+        states: Start states kept for evaluation.
+        console: For progress and the table.
+    """
+    policy = load_policy(folder / "policy.npz")
+    held_out = build_world(world.scene, states, ClosingConfig())
+    base = EvaluateConfig(
+        out=folder / "results.json",
+        episodes=config.evaluation_episodes,
+        seed=config.seed + 1,
+        friction=config.scene.friction[0],
+        offset_mm=1e3 * config.noise.offset_m,
+    )
+    rows: list[ResultRow] = []
+    for force in (None, *SQUEEZE_FORCES_N):
+        setting = (
+            base if force is None else replace(base, controller="squeeze", squeeze_force=force)
+        )
+        new, _ = evaluate(
+            held_out,
+            states.object_names,
+            setting,
+            policy if force is None else None,
+            states.kind,
+            console,
+        )
+        rows += new
+    untrained = replace(base, controller="squeeze", squeeze_force=policy_task(policy).grip_force)
+    before, _ = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
+    write_results(base.out, rows + before, provenance(config.seed))
+    console.print(success_table(rows + before))
+
+    video, problem = folder / "grasp.mp4", None
+    save_trajectory(folder / "grasp.npz", best_grasp(held_out, states, policy, base.seed))
+    try:
+        render_in_subprocess(VideoConfig(folder / "grasp.npz", out=video))
+    except RenderError as error:
+        problem = str(error)
+    write_report(
+        run_dir=folder,
+        results_paths=[base.out],
+        video_path=None if problem else video,
+        video_problem=problem,
+        out_html=folder / "report.html",
+    )
+    console.print(f"report: {folder / 'report.html'}")
+
+
+def best_grasp(world: World, states: HandoffSet, policy: Policy, seed: int):
+    """A recorded episode of the policy, a successful one if there is any among eight."""
+    task, noise = policy_task(policy), StartNoise()
+    env = world.env("mujoco", 8, task, noise, with_privileged=False)
+    name = states.object_names[0]
+    draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
+    trials, qpos = record_trials(env, lambda obs: policy(obs["state"]), draw)
+    best = int(np.argmax(trials.success))
+    return record_world(world.scene, name, qpos[:, best], task.control_dt)

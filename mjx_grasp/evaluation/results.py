@@ -1,0 +1,243 @@
+"""Results files: JSON of a named schema, with rows and with the run that made them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.statistics import mean_rate_interval, wilson_interval
+
+PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
+HANDOFFS = ("ik", "reached")
+
+
+@dataclass(frozen=True)
+class ResultRow:
+    """Outcome of one controller on one object under one condition."""
+
+    object: str
+    controller: str
+    """'policy' or 'squeeze'."""
+    engine: str
+    """'mujoco' or 'mjx'."""
+    episodes: int
+    successes: int
+    never_lifted: int
+    not_held: int
+    slipped: int
+    ci95: tuple[float, float]
+    """Wilson interval of the success rate [%]."""
+    force_mean_n: float | None
+    """Net contact force, mean over fingers and ticks from lift onset [N]; None: no lift began."""
+    force_peak_n: float | None
+    """Largest force on a single finger from lift onset [N]; None: no lift began."""
+    squeeze_force_n: float | None
+    """Commanded force per finger [N]; None for a policy."""
+    offset_mm: float
+    """Lateral object offset, uniform in ± this along x and y [mm]."""
+    angle_deg: float
+    """Object rotation about a random axis, uniform up to this [deg]."""
+    friction: float
+    """Sliding friction of the object's contacts [-]."""
+    handoffs: str
+    """Start states: 'ik' or 'reached'."""
+
+    def __post_init__(self):
+        counts = {n: getattr(self, n) for n in ("successes", "never_lifted", "not_held", "slipped")}
+        if self.episodes < 1 or min(counts.values()) < 0:
+            raise InputError("episodes", (self.episodes, counts), "a positive number and counts")
+        if sum(counts.values()) != self.episodes:
+            raise InputError(
+                "episodes", self.episodes, f"the sum of its outcomes, {sum(counts.values())}"
+            )
+        low, high = self.ci95
+        if not -1e-6 <= low <= self.success_percent + 1e-6 <= high + 2e-6 <= 100 + 3e-6:
+            raise InputError("ci95", self.ci95, f"limits around {self.success_percent:.2f} %")
+        if self.handoffs not in HANDOFFS:
+            raise InputError("handoffs", self.handoffs, f"one of {', '.join(HANDOFFS)}")
+        for name in ("force_mean_n", "force_peak_n", "squeeze_force_n"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0):
+                raise InputError(name, value, "None, or 0 N or more")
+        for name in ("offset_mm", "angle_deg", "friction"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise InputError(name, getattr(self, name), "a finite number, 0 or more")
+
+    @property
+    def success_percent(self) -> float:
+        """Success rate [%]."""
+        return 100.0 * self.successes / self.episodes
+
+
+@dataclass(frozen=True)
+class ThroughputRow:
+    """Speed and memory of one loop with so many worlds."""
+
+    loop: str
+    """What is timed: 'ppo' (the whole training), 'env', 'physics', 'mujoco_warp' (no JAX)."""
+    engine: str
+    """'mjx' or 'mujoco'."""
+    worlds: int
+    objects: int
+    """Objects in the scene."""
+    control_steps_per_s: float
+    """Control ticks of all worlds together per second [1/s]."""
+    memory_gib: float | None
+    """Peak device memory [GiB]; None where it cannot be measured."""
+
+    def __post_init__(self):
+        for name in ("worlds", "objects", "control_steps_per_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(name, value, "a positive number")
+
+
+Row = TypeVar("Row", ResultRow, ThroughputRow)
+SCHEMAS: dict[type, str] = {
+    ResultRow: "mjx_grasp.results/1",
+    ThroughputRow: "mjx_grasp.throughput/1",
+}
+
+
+@dataclass(frozen=True)
+class Results(Generic[Row]):
+    """What a results file holds."""
+
+    rows: tuple[Row, ...]
+    provenance: dict[str, Any]
+    """`command`, `git`, `versions`, `device`, `seed`."""
+    extra: dict[str, Any]
+    """Whatever else the writer recorded."""
+
+
+def make_row(
+    *,
+    successes: int,
+    episodes: int,
+    force_mean_n: float | None,
+    force_peak_n: float | None,
+    **others: Any,
+) -> ResultRow:
+    """A row with its Wilson interval; a force that is not a number becomes None."""
+    return ResultRow(
+        successes=successes,
+        episodes=episodes,
+        ci95=wilson_interval(successes, episodes),
+        force_mean_n=_number_or_none(force_mean_n),
+        force_peak_n=_number_or_none(force_peak_n),
+        **others,
+    )
+
+
+def write_results(
+    path: str | Path, rows: Sequence[Row], provenance: dict[str, Any], **extra: Any
+) -> None:
+    """Writes rows of one kind and their provenance as JSON, complete or not at all.
+
+    Args:
+        path: The file.
+        rows: At least one row; all of the same class.
+        provenance: From `mjx_grasp.provenance.provenance`.
+        **extra: Further top-level entries. `label` names the controller in tables.
+
+    Raises:
+        InputError: No rows, rows of two kinds, or an incomplete provenance.
+    """
+    if not rows or len({type(r) for r in rows}) != 1:
+        raise InputError("rows", f"{len(rows)} rows", "one or more rows of one kind")
+    missing = [k for k in PROVENANCE_KEYS if k not in provenance]
+    if missing:
+        raise InputError("provenance", f"no {', '.join(missing)}", ", ".join(PROVENANCE_KEYS))
+    document = {
+        "schema": SCHEMAS[type(rows[0])],
+        **extra,
+        "rows": [asdict(r) for r in rows],
+        "provenance": provenance,
+    }
+    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:  # type: ignore[assignment]
+    """Reads a results file.
+
+    Args:
+        path: The file.
+        kind: The class of its rows.
+
+    Raises:
+        FileError: It is missing, no JSON, of another schema, or has rows that contradict
+            themselves.
+    """
+    document = _document(path)
+    if document.get("schema") != SCHEMAS[kind]:
+        raise FileError(path, f"schema {document.get('schema')!r}", f"schema {SCHEMAS[kind]!r}")
+    rows, provenance = document.get("rows"), document.get("provenance")
+    if not isinstance(rows, list) or not rows:
+        raise FileError(path, "no rows", "a list of rows")
+    if not isinstance(provenance, dict) or not set(PROVENANCE_KEYS) <= set(provenance):
+        raise FileError(path, "no whole provenance", f"entries {', '.join(PROVENANCE_KEYS)}")
+    extra = {k: v for k, v in document.items() if k not in ("schema", "rows", "provenance")}
+    return Results(tuple(_row(path, i, r, kind) for i, r in enumerate(rows)), provenance, extra)
+
+
+def schema_of(path: str | Path) -> str | None:
+    """The schema that a JSON file names, None if it names none.
+
+    Raises:
+        FileError: The file is missing or no JSON object.
+    """
+    return _document(path).get("schema")
+
+
+def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]:
+    """Mean of the rows' success rates, each row counting the same, and its 95 % interval [%]."""
+    if not rows:
+        raise InputError("rows", "none", "one row or more")
+    import numpy as np
+
+    successes, episodes = (
+        np.array([getattr(r, n) for r in rows]) for n in ("successes", "episodes")
+    )
+    return float(np.mean(100.0 * successes / episodes)), mean_rate_interval(successes, episodes)
+
+
+def _document(path: str | Path) -> dict[str, Any]:
+    try:
+        document = json.loads(Path(path).read_text())
+    except OSError as error:
+        raise FileError(path, error.strerror or "an unreadable file", "a results file") from None
+    except ValueError as error:
+        raise FileError(path, f"no JSON ({error})", "a results file") from None
+    if not isinstance(document, dict):
+        raise FileError(path, f"a JSON {type(document).__name__}", "a JSON object")
+    return document
+
+
+def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
+    names = {f.name for f in fields(kind)}
+    where = f"row {index}"
+    if not isinstance(values, dict):
+        raise FileError(path, f"{where}: {type(values).__name__}", "an object per row")
+    for problem, keys in (("lacks", names - set(values)), ("has unknown", set(values) - names)):
+        if keys:
+            raise FileError(
+                path, f"{where} {problem} {', '.join(sorted(keys))}", f"rows of {SCHEMAS[kind]}"
+            )
+    if "ci95" in values:
+        values = values | {"ci95": tuple(values["ci95"])}
+    try:
+        return kind(**values)
+    except (InputError, TypeError, ValueError) as error:
+        raise FileError(path, f"{where}: {error}", "a row that agrees with itself") from None
+
+
+def _number_or_none(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else float(value)

@@ -1,0 +1,96 @@
+"""Every number of the handoff dataset, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mjx_grasp.errors import InputError
+
+
+@dataclass(frozen=True)
+class TargetConfig:
+    """Where the tips are to be when the policy takes over (method §2 'Targets', §4)."""
+
+    thumb_standoff: float = 0.025
+    """distance of the thumb's tip frame from its contact, along the outward normal [m]"""
+    wrap_standoff: float = 0.040
+    """the same for the index and middle finger [m]"""
+    wrap_spread: float = 0.020
+    """half distance between the two wrap targets [m]"""
+    min_axis_angle: float = 0.1
+    """|u × g| below which a reach direction does not spread the wraps [-]"""
+    min_height: float = 0.015
+    """no contact or target lower than this above the table [m]"""
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Object poses on the table and the candidates tried on them (method §0, §4)."""
+
+    x_range: tuple[float, float] = (0.40, 0.65)
+    """object area in front of the arm [m]"""
+    y_range: tuple[float, float] = (-0.25, 0.25)
+    """object area, lateral [m]"""
+    poses_per_round: int = 64
+    """object poses drawn at a time [-]"""
+    candidates_per_pose: int = 16
+    """heatmap candidates tried on each [-]"""
+    min_score: float = 0.05
+    """candidates below this are not used, as in the selection [-]"""
+    temperature: float = 0.2
+    """candidates are drawn with weight exp(score/temperature) [-]"""
+    min_distance: float = 0.008
+    """of the candidates of one pose, thumb contacts are at least this far apart [m]"""
+
+
+@dataclass(frozen=True)
+class IkConfig:
+    """The batched inverse kinematics."""
+
+    iterations: int = 30
+    """Levenberg–Marquardt steps, fixed [-]"""
+    restarts: int = 6
+    """starting configurations per candidate [-]"""
+    library_size: int = 60_000
+    """configurations from which the starts nearest to the targets are taken [-]"""
+    orientation_weight: float = 0.012
+    """pad normal against the inward direction [m/rad]"""
+    posture_weight: float = 0.001
+    """pull towards the open posture at home [m/rad]"""
+    limit_margin: float = 0.05
+    """kept from every joint limit [rad]"""
+    tolerance: float = 0.005
+    """a larger tip error rejects [m]"""
+
+
+@dataclass(frozen=True)
+class HandoffConfig:
+    """Settings of `python -m mjx_grasp.handoffs`."""
+
+    out: Path
+    """the handoff set to write (.npz); a report (.json) is written beside it"""
+    objects: tuple[str, ...] = ("eight",)
+    """object names or groups: eight, train, held_out, all"""
+    objects_dir: Path | None = None
+    """folder of real scans; parametric stand-ins without it"""
+    robot: str = "rizon4_hx5d20"
+    """name or description file of the robot"""
+    per_object: int = 128
+    """pre-grasps wanted of each object [-]"""
+    max_rounds: int = 12
+    """rounds of sampling before an object is left with what it has [-]"""
+    max_per_candidate: int = 4
+    """pre-grasps that may share one heatmap candidate [-]"""
+    seed: int = 0
+    """of everything random; an object's states do not depend on the other objects"""
+    targets: TargetConfig = TargetConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    ik: IkConfig = IkConfig()
+
+    def __post_init__(self):
+        for name in ("per_object", "max_rounds", "max_per_candidate"):
+            if getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "a whole number from 1")
+        if self.out.suffix != ".npz":
+            raise InputError("out", str(self.out), "a file name ending in .npz")

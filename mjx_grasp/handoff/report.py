@@ -1,0 +1,103 @@
+"""What became of the candidates: counts, a table for people, JSON for machines."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.handoff.collision import REASONS
+
+# Why a candidate at an object pose came to nothing, the one that got farthest last.
+OUTCOMES = ("unreachable", "limits", "reach-axis", *reversed(REASONS))
+
+
+@dataclass
+class ObjectReport:
+    """What became of an object's candidates, counted per (object pose, candidate).
+
+    Attributes:
+        name: The object.
+        eligible_candidates: Heatmap vertices with a sufficient score.
+        poses: Object poses drawn.
+        poses_without_candidate: Of those, without a candidate high enough above the table.
+        sampled: Pairs of pose and candidate tried.
+        converged: Pairs for which some start met the tolerance at every tip.
+        rejected: Pairs by reason: the one met by the start that got farthest.
+        feasible: Pairs with a state that is accepted.
+        kept: States in the set.
+        seconds: Time taken.
+    """
+
+    name: str
+    eligible_candidates: int = 0
+    poses: int = 0
+    poses_without_candidate: int = 0
+    sampled: int = 0
+    converged: int = 0
+    rejected: Counter = field(default_factory=Counter)
+    feasible: int = 0
+    kept: int = 0
+    seconds: float = 0.0
+
+    @property
+    def eligible(self) -> bool:
+        """Whether the object has any pre-grasp."""
+        return self.kept > 0
+
+    @property
+    def feasible_share(self) -> float:
+        """Share of the pairs of pose and candidate that have an accepted state."""
+        return self.feasible / self.sampled if self.sampled else 0.0
+
+    def as_row(self) -> dict[str, Any]:
+        """The report as JSON types, with every reason counted."""
+        rejected = {reason: self.rejected[reason] for reason in OUTCOMES}
+        derived = {"eligible": self.eligible, "feasible_share": round(self.feasible_share, 4)}
+        return asdict(self) | {"rejected": rejected, "seconds": round(self.seconds, 2)} | derived
+
+
+def report_table(reports: Sequence[ObjectReport]) -> Table:
+    """The per-object table that the command prints."""
+    columns = ("object", "sampled", "IK converged", *OUTCOMES, "feasible", "kept", "s")
+    table = Table(title="Pre-grasps, per object: pairs of object pose and candidate")
+    for column in columns:
+        table.add_column(column, justify="left" if column == "object" else "right")
+    for r in reports:
+        table.add_row(
+            r.name,
+            str(r.sampled),
+            str(r.converged),
+            *(str(r.rejected[reason]) for reason in OUTCOMES),
+            f"{r.feasible} ({100 * r.feasible_share:.0f} %)",
+            str(r.kept) if r.eligible else "not eligible",
+            f"{r.seconds:.1f}",
+        )
+    return table
+
+
+def write_report(
+    path: Path, reports: Sequence[ObjectReport], provenance: dict[str, Any], config: dict[str, Any]
+) -> None:
+    """Writes the reports, the settings and the run's facts as JSON, complete or not at all.
+
+    Args:
+        path: File to write.
+        reports: One per object.
+        provenance: From `mjx_grasp.provenance.provenance`.
+        config: The full configuration as JSON types.
+    """
+    document = {
+        "provenance": provenance,
+        "config": config,
+        "objects": [report.as_row() for report in reports],
+        "not_eligible": [report.name for report in reports if not report.eligible],
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n")

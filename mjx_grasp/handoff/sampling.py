@@ -1,0 +1,73 @@
+"""Where objects lie on the table, and which heatmap candidates are tried on them (method §4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mjx_grasp.handoff.config import SamplingConfig
+
+if TYPE_CHECKING:
+    from mjx_grasp.objects.model import RestingPose
+
+
+def sample_object_poses(
+    resting: Sequence[RestingPose], count: int, config: SamplingConfig, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
+    """Object poses at rest on the table: position in [m] and quaternion w-x-y-z, world.
+
+    The resting pose by its probability, x, y and yaw uniform in the object area.
+
+    Args:
+        resting: Resting poses of the object.
+        count: Poses wanted.
+        config: The object area.
+        rng: Source of randomness.
+    """
+    share = np.array([pose.probability for pose in resting])
+    which = rng.choice(len(resting), size=count, p=share / share.sum())
+    height = np.array([pose.height for pose in resting])[which]
+    w, x, y, z = np.array([pose.quat for pose in resting])[which].T
+    half = 0.5 * rng.uniform(-np.pi, np.pi, count)
+    c, s = np.cos(half), np.sin(half)
+    # The turn about the world's z after the resting rotation: (c, 0, 0, s) · quat.
+    quat = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
+    position = np.stack(
+        [rng.uniform(*config.x_range, count), rng.uniform(*config.y_range, count), height], axis=1
+    )
+    return position, quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+def draw_candidates(
+    score: Float[np.ndarray, " v"],
+    thumb: Float[np.ndarray, "v 3"],
+    allowed: Bool[np.ndarray, " v"],
+    config: SamplingConfig,
+    rng: np.random.Generator,
+) -> Int[np.ndarray, " n"]:
+    """Candidates for one object pose: good ones more often, no two close together.
+
+    A draw without replacement with weights exp(score/temperature) (the Gumbel trick), thinned so
+    that thumb contacts keep their distance. May return fewer than asked, or none.
+
+    Args:
+        score: Heatmap scores.
+        thumb: Thumb contacts in [m].
+        allowed: Which candidates may be used at this pose.
+        config: Number, temperature, distance.
+        rng: Source of randomness.
+    """
+    keys = score / config.temperature + rng.gumbel(size=len(score))
+    order = np.flatnonzero(allowed)
+    order = order[np.argsort(-keys[order], kind="stable")]
+    chosen: list[int] = []
+    for index in order:
+        gap = np.linalg.norm(thumb[chosen] - thumb[index], axis=1)
+        if not chosen or gap.min() >= config.min_distance:
+            chosen.append(int(index))
+            if len(chosen) == config.candidates_per_pose:
+                break
+    return np.array(chosen, dtype=np.int64)

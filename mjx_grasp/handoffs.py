@@ -1,0 +1,86 @@
+"""`python -m mjx_grasp.handoffs`: a dataset of pre-grasp states for a list of objects."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mjx_grasp.cli import run_command
+from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.handoff.dataset import HandoffSet, merge
+from mjx_grasp.handoff.generate import HandoffGenerator
+from mjx_grasp.handoff.report import ObjectReport, report_table, write_report
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import load_object
+from mjx_grasp.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+
+
+def make_handoffs(
+    config: HandoffConfig, console: Console | None = None
+) -> tuple[HandoffSet, list[ObjectReport]]:
+    """Makes, saves and reports the pre-grasps of all objects of a configuration.
+
+    Writes the set to ``config.out`` and the report beside it, with the suffix ``.json``. An object
+    without any pre-grasp is in the report, as not eligible, and in the set's names.
+
+    Args:
+        config: Settings.
+        console: Where progress is shown; nowhere if None.
+
+    Raises:
+        InputError: An unknown object or robot, or a robot that does not reach the table.
+        FileError: An object's scan or the robot's description cannot be read.
+    """
+    names = resolve(config.objects)
+    robot = load_robot(config.robot)
+    generator = HandoffGenerator(robot, config)
+    sets, reports = [], []
+    with _progress(console) as progress:
+        everything = progress.add_task("all objects", total=len(names) * config.per_object)
+        for done, name in enumerate(names):
+            task = progress.add_task(name, total=config.per_object)
+
+            def show(kept: int, task=task, done=done) -> None:
+                progress.update(task, completed=kept)
+                progress.update(everything, completed=done * config.per_object + kept)
+
+            handoffs, report = generator.generate(load_object(name, config.objects_dir), show)
+            progress.update(task, visible=False)
+            progress.update(everything, completed=(done + 1) * config.per_object)
+            sets.append(handoffs)
+            reports.append(report)
+    merged = merge(sets)
+    merged.save(config.out)
+    settings = json.loads(json.dumps(asdict(config), default=str))
+    write_report(config.out.with_suffix(".json"), reports, provenance(config.seed), settings)
+    return merged, reports
+
+
+def _progress(console: Console | None) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=console is None,
+    )
+
+
+def main() -> None:
+    """Parses the command line, makes the set, prints the table."""
+    config = tyro.cli(HandoffConfig, description=__doc__)
+    console = Console()
+    handoffs, reports = make_handoffs(config, console)
+    console.print(report_table(reports))
+    console.print(f"{len(handoffs)} states of {sum(r.eligible for r in reports)} objects")
+    console.print(f"written: {config.out}, {config.out.with_suffix('.json')}")
+
+
+if __name__ == "__main__":
+    run_command(main)

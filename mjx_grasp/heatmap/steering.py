@@ -1,0 +1,82 @@
+"""Re-weighting a cached heatmap by an anchor point."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.heatmap.scores import anchor_score
+
+
+class Heatmap(NamedTuple):
+    """Grasp candidates of one mesh, one per vertex, in the object frame.
+
+    Everything is finite; where ``valid`` is False the scores are 0 and the geometry is void.
+
+    Attributes:
+        vertices: ``[v, 3]`` thumb-side surface points p_t in [m].
+        normals: ``[v, 3]`` outward unit normals there, n_t.
+        score: ``[v]`` S, with the centre-of-mass term.
+        score_without_com: ``[v]`` S without it: what steering starts from.
+        thumb: ``[v, 3]`` thumb contact; the vertex itself.
+        opposing: ``[v, 3]`` farthest hit o of the ray from the vertex along −n_t.
+        long_axis: ``[v, 3]`` unit local long axis ℓ at o.
+        offset: ``[v]`` wrap offset h that was kept, [m].
+        wrap: ``[v, 2, 3]`` wrap contacts c_1, c_2.
+        wrap_normals: ``[v, 2, 3]`` outward unit normals there.
+        centre: ``[v, 3]`` centroid c of the wrap contacts.
+        axis: ``[v, 3]`` unit grasp axis g, from the thumb to c.
+        width: ``[v]`` w = |c − p_t| in [m].
+        valid: ``[v]`` whether there is a candidate at all.
+        terms: ``[v]`` each, the factors of S: ``width, thumb, wrap, coherence, com, separation``.
+    """
+
+    vertices: Float[Array, "v 3"]
+    normals: Float[Array, "v 3"]
+    score: Float[Array, " v"]
+    score_without_com: Float[Array, " v"]
+    thumb: Float[Array, "v 3"]
+    opposing: Float[Array, "v 3"]
+    long_axis: Float[Array, "v 3"]
+    offset: Float[Array, " v"]
+    wrap: Float[Array, "v 2 3"]
+    wrap_normals: Float[Array, "v 2 3"]
+    centre: Float[Array, "v 3"]
+    axis: Float[Array, "v 3"]
+    width: Float[Array, " v"]
+    valid: Bool[Array, " v"]
+    terms: dict[str, Float[Array, " v"]]
+
+
+@jax.jit
+def weigh(
+    score_without_com: Float[Array, " v"],
+    thumb: Float[Array, "v 3"],
+    axis: Float[Array, "v 3"],
+    anchor: Float[Array, " 3"],
+    sigma: Float[Array, ""] | float,
+) -> Float[Array, " v"]:
+    """``S^a = S_without_COM · exp(−(d⊥(a, i)/σ_a)²)`` (method §1, steering).
+
+    Compiled on its own and used for the default score too, so that steering to the centre of mass
+    gives the default heatmap bit for bit.
+    """
+    return score_without_com * anchor_score(anchor, thumb, axis, sigma)
+
+
+def steer(
+    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: Float[Array, ""] | float = 0.030
+) -> Float[Array, " v"]:
+    """Scores of a heatmap's candidates for an anchor; many anchors at once are a ``vmap``.
+
+    Args:
+        heatmap: Cached candidates.
+        anchor: Point in the object frame, [m].
+        sigma: Distance from the anchor to the grasp axis at which a score falls to 1/e, [m].
+    """
+    dtype = heatmap.score_without_com.dtype
+    anchor, sigma = jnp.asarray(anchor, dtype), jnp.asarray(sigma, dtype)
+    return weigh(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchor, sigma)

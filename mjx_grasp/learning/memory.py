@@ -1,0 +1,45 @@
+"""How many worlds a device's memory holds, from the sizes of the arrays a training needs."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import numpy as np
+
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.scene import Scene
+
+MOST_WORLDS = 8192
+"""Beyond this more worlds no longer make a training faster (README, table of speed)."""
+_COPIES = 3
+"""State before and after a step, and the temporary one while XLA swaps them."""
+_TRANSITION_NUMBERS = 900
+"""Numbers kept of a control step: two observations for actor and critic, actions, forces, flags."""
+
+
+def bytes_per_world(scene: Scene, unroll: int) -> int:
+    """Device memory of one world of a training [bytes]: physics state and its rollout."""
+    physics = MjxPhysics(scene, 1)
+    model = scene.model
+    shapes = jax.eval_shape(physics.init, np.zeros((1, model.nq)), np.zeros((1, model.nu)))
+    state = sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+    fields = 4 * (7 * model.ngeom + 16 * model.nbody)
+    return _COPIES * state + fields + 4 * _TRANSITION_NUMBERS * unroll
+
+
+def worlds_that_fit(scene: Scene, unroll: int, memory_bytes: int, most: int = MOST_WORLDS) -> int:
+    """The largest power of two of worlds that four fifths of the memory hold, at most `most`."""
+    fit = int(0.8 * memory_bytes / bytes_per_world(scene, unroll))
+    return min(most, 2 ** int(math.log2(max(fit, PPOConfig.minibatches))))
+
+
+def device_memory() -> int:
+    """Memory of JAX's first device [bytes]; the machine's own where JAX does not say."""
+    stats = jax.devices()[0].memory_stats()
+    if stats and "bytes_limit" in stats:
+        return int(stats["bytes_limit"])
+    import os
+
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

@@ -1,0 +1,157 @@
+"""Convex pieces of a mesh: a sphere, one hull, or an approximate decomposition by coacd."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
+from mjx_grasp.objects.meshes import split
+from mjx_grasp.objects.surface import outside_distance, sample_surface
+
+
+@dataclass(frozen=True)
+class ConvexConfig:
+    """How a mesh is divided into convex pieces."""
+
+    single_hull_error: float = 0.006  # m, 95 % outward error up to which one hull is enough
+    max_pieces: int = 12
+    max_vertices: int = 64  # per hull
+    ball_deviation: float = 0.04  # 95 % radial deviation over the radius of what counts as a ball
+    coacd_threshold: float = 0.1  # concavity
+    samples: int = 4000  # surface points of the error estimate
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A convex piece of an object, in the object frame (m).
+
+    Attributes:
+        kind: 'sphere' or 'hull'.
+        pos: Centre of the sphere; centroid of the hull's vertices.
+        radius: Of the sphere; 0 for a hull.
+        vertices: Of the hull (n, 3); empty for a sphere.
+    """
+
+    kind: str
+    pos: Float[np.ndarray, "3"]
+    radius: float = 0.0
+    vertices: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def surface(self) -> trimesh.Trimesh:
+        """A closed mesh of the piece; a sphere as a fine icosphere."""
+        if self.kind == "sphere":
+            ball = trimesh.creation.icosphere(subdivisions=4, radius=self.radius)
+            return trimesh.Trimesh(ball.vertices + self.pos, ball.faces, process=False)
+        return hull_mesh(self.vertices)
+
+    def contains(self, points: Float[np.ndarray, "n 3"], tolerance: float = 0.0) -> np.ndarray:
+        """Whether each point lies in the piece grown by ``tolerance`` (m)."""
+        if self.kind == "sphere":
+            return np.linalg.norm(points - self.pos, axis=1) <= self.radius + tolerance
+        normals, offsets = self._planes()
+        return (points @ normals.T + offsets).max(axis=1) <= tolerance
+
+    def _planes(self) -> tuple[np.ndarray, np.ndarray]:
+        mesh = hull_mesh(self.vertices)
+        normals = np.asarray(mesh.face_normals)
+        return normals, -(normals * mesh.triangles[:, 0]).sum(axis=1)
+
+
+def convex_pieces(
+    mesh: trimesh.Trimesh, config: ConvexConfig = ConvexConfig()
+) -> tuple[tuple[Piece, ...], float]:
+    """Divides a closed mesh into convex pieces.
+
+    A ball becomes a sphere; a mesh whose reduced hull is off by at most ``single_hull_error``
+    becomes that hull; everything else goes to coacd, component by component, with a fixed seed.
+
+    Returns:
+        The pieces and their 95 % outward error (m), see ``outward_error``.
+    """
+    ball = _ball(mesh, config)
+    if ball is not None:
+        return (ball,), outward_error(mesh, (ball,), config)
+    whole = (_hull(np.asarray(mesh.vertices), config.max_vertices),)
+    error = outward_error(mesh, whole, config)
+    if error <= config.single_hull_error:
+        return whole, error
+    pieces = _decomposed(mesh, config)
+    return pieces, outward_error(mesh, pieces, config)
+
+
+def outward_error(
+    mesh: trimesh.Trimesh, pieces: tuple[Piece, ...], config: ConvexConfig = ConvexConfig()
+) -> float:
+    """95th percentile, over the surface of the pieces' union, of the distance outside the mesh (m).
+
+    Points of the pieces' surface that lie inside the mesh count with distance 0.
+    """
+    surfaces = [piece.surface() for piece in pieces]
+    triangles = np.concatenate([surface.triangles for surface in surfaces])
+    owner = np.repeat(np.arange(len(pieces)), [len(surface.faces) for surface in surfaces])
+    points, face = sample_surface(triangles, config.samples, config.seed)
+    buried = np.zeros(len(points), bool)
+    for k, piece in enumerate(pieces):
+        buried |= (owner[face] != k) & piece.contains(points, tolerance=-1e-6)
+    return float(np.percentile(outside_distance(mesh, points[~buried]), 95))
+
+
+def _hull(points: np.ndarray, max_vertices: int) -> Piece:
+    vertices = reduced_hull(points, max_vertices)
+    return Piece("hull", vertices.mean(axis=0), 0.0, vertices)
+
+
+def _ball(mesh: trimesh.Trimesh, config: ConvexConfig) -> Piece | None:
+    """The least-squares sphere of the surface, if the surface is that round."""
+    points, _ = sample_surface(np.asarray(mesh.triangles), config.samples, config.seed)
+    system = np.concatenate([2.0 * points, np.ones((len(points), 1))], axis=1)
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 0.0)))
+    deviation = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
+    full = 4.0 / 3.0 * np.pi * radius**3
+    # A shallow bowl fits a sphere as well: only a ball also fills it.
+    if np.percentile(deviation, 95) > config.ball_deviation * radius or mesh.volume < 0.8 * full:
+        return None
+    return Piece("sphere", centre, radius)
+
+
+def _decomposed(mesh: trimesh.Trimesh, config: ConvexConfig) -> tuple[Piece, ...]:
+    """Pieces of each component: its own hull where that is enough, else coacd's."""
+    parts = split(mesh)
+    hulls = [_hull(np.asarray(part.vertices), config.max_vertices) for part in parts]
+    concave = [outward_error(mesh, (hull,), config) > config.single_hull_error for hull in hulls]
+    budget = max(config.max_pieces - (len(parts) - sum(concave)), 0)
+    area = np.array([part.area if c else 0.0 for part, c in zip(parts, concave, strict=True)])
+    share = np.floor(budget * area / max(area.sum(), 1e-12)).astype(int)
+    pieces: list[Piece] = []
+    for part, hull, is_concave, count in zip(parts, hulls, concave, share, strict=True):
+        pieces += _coacd(part, max(int(count), 1), config) if is_concave else [hull]
+    return tuple(pieces)
+
+
+def _coacd(mesh: trimesh.Trimesh, count: int, config: ConvexConfig) -> list[Piece]:
+    import coacd  # loads a native library: only where a decomposition is needed
+
+    coacd.set_log_level("error")
+    parts = coacd.run_coacd(
+        coacd.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)),
+        threshold=config.coacd_threshold,
+        max_convex_hull=count,
+        preprocess_mode="auto",
+        decimate=False,
+        seed=config.seed,
+        real_metric=False,
+    )
+    pieces = []
+    for vertices, _ in parts:
+        try:
+            pieces.append(_hull(np.asarray(vertices, dtype=np.float64), config.max_vertices))
+        except ValueError:  # a sliver without volume carries no contact
+            continue
+    return pieces

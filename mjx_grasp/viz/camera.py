@@ -1,0 +1,83 @@
+"""Where to look from: the side from which the fingers and the object are seen best."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+DISTANCE_M = 0.62
+ELEVATION_DEG = -16.0
+TURN_DEG = 24.0  # how far the camera turns about the focus from the first picture to the last
+_LOOK_ABOVE_FOCUS_M = 0.05
+_FOLLOW_S = 0.6  # time over which the camera smooths what it follows
+_AZIMUTHS = 16
+_SMALL_PIXELS = 96  # side of the pictures on which visibility is judged
+
+
+def look_at(
+    model: Any, poses: Float[np.ndarray, "t nq"], focus: str, fps: float
+) -> Float[np.ndarray, "t 3"]:
+    """Points to look at [m]: the focus body's path, smoothed, so that the camera never jerks."""
+    import mujoco
+    from scipy.ndimage import gaussian_filter1d
+
+    data, body = mujoco.MjData(model), model.body(focus).id
+    path = np.empty((len(poses), 3))
+    for i, qpos in enumerate(poses):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        path[i] = data.xpos[body]
+    smooth = gaussian_filter1d(path, _FOLLOW_S * fps, axis=0, mode="nearest")
+    return smooth + np.array([0.0, 0.0, _LOOK_ABOVE_FOCUS_M])
+
+
+def best_azimuth(
+    model: Any, qpos: Float[np.ndarray, " nq"], focus: str, target: Float[np.ndarray, " 3"]
+) -> float:
+    """The azimuth [deg] that shows most of the focus body and of every body that touches it.
+
+    Args:
+        model: The MuJoCo model.
+        qpos: The pose to judge, best one in which the object is held.
+        focus: Name of the body to see.
+        target: The point to look at [m].
+    """
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    shown = _bodies_of_interest(model, data, model.body(focus).id)
+    azimuths = np.arange(_AZIMUTHS) * 360.0 / _AZIMUTHS
+    scores = np.zeros(_AZIMUTHS)
+    camera = mujoco.MjvCamera()
+    camera.distance, camera.elevation, camera.lookat[:] = DISTANCE_M, ELEVATION_DEG, target
+    with mujoco.Renderer(model, _SMALL_PIXELS, _SMALL_PIXELS) as renderer:
+        renderer.enable_segmentation_rendering()
+        for i, azimuth in enumerate(azimuths):
+            camera.azimuth = azimuth
+            renderer.update_scene(data, camera)
+            seen = _visible_pixels(model, renderer.render())
+            # Square roots, so that seeing another finger beats seeing more of the same one.
+            scores[i] = sum(np.sqrt(seen[body]) for body in shown)
+    around = np.roll(scores, 1) + 2.0 * scores + np.roll(scores, -1)  # the camera will turn
+    return float(azimuths[np.argmax(around)])
+
+
+def _bodies_of_interest(model: Any, data: Any, focus: int) -> list[int]:
+    """The focus body and the moving bodies in contact with it."""
+    pairs = model.geom_bodyid[data.contact.geom]
+    touching = {int(b) for pair in pairs if focus in pair for b in pair if b != 0}
+    return sorted(touching | {focus})
+
+
+def _visible_pixels(
+    model: Any, segmentation: Int[np.ndarray, "h w 2"]
+) -> Int[np.ndarray, " nbody"]:
+    import mujoco
+
+    ids, kinds = segmentation[..., 0], segmentation[..., 1]
+    geoms = ids[kinds == int(mujoco.mjtObj.mjOBJ_GEOM)]
+    return np.bincount(model.geom_bodyid[geoms], minlength=model.nbody)

@@ -1,0 +1,233 @@
+"""Pictures of a trajectory: light and background, and files made of them.
+
+Imports MuJoCo only inside `render`, so that the caller decides on MUJOCO_GL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.viz import camera as view
+from mjx_grasp.viz.trajectory import Trajectory
+
+Frame = UInt8[np.ndarray, "h w 3"]
+
+_BACKGROUND = np.array([232, 236, 241], np.uint8)
+_SUPERSAMPLING = 2  # software renderers have no smooth edges of their own
+
+
+class BackendError(MjxGraspError):
+    """The OpenGL backend that MUJOCO_GL names does not work on this machine."""
+
+
+def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[Frame]:
+    """Pictures at a steady rate, by a camera that follows the focus body and slowly turns.
+
+    Args:
+        trajectory: The motion.
+        width: Of the pictures [pixels].
+        height: Of the pictures [pixels].
+        fps: Pictures per second of the motion.
+
+    Raises:
+        BackendError: OpenGL does not work here.
+        InputError: The model was written by another version of MuJoCo.
+    """
+    try:
+        import mujoco
+    except Exception as error:  # a missing library surfaces as one of several types
+        raise BackendError(_first_line(error)) from error
+    model = _load_model(trajectory)
+    _set_visuals(model, width * _SUPERSAMPLING, height * _SUPERSAMPLING)
+    poses = trajectory.qpos[_times(len(trajectory.qpos), trajectory.dt, fps)]
+    targets = view.look_at(model, poses, trajectory.focus, fps)
+    try:
+        azimuth = view.best_azimuth(model, poses[-1], trajectory.focus, targets[-1])
+        renderer = mujoco.Renderer(model, height * _SUPERSAMPLING, width * _SUPERSAMPLING)
+    except Exception as error:
+        raise BackendError(_first_line(error)) from error
+    data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    camera.distance, camera.elevation = view.DISTANCE_M, view.ELEVATION_DEG
+    turn = np.linspace(-view.TURN_DEG / 2, view.TURN_DEG / 2, len(poses))
+    pictures = []
+    try:
+        for i, qpos in enumerate(poses):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            camera.lookat[:], camera.azimuth = targets[i], azimuth + turn[i]
+            renderer.update_scene(data, camera)
+            _add_key_light(renderer.scene, targets[i], camera.azimuth)
+            picture = renderer.render().copy()
+            renderer.enable_depth_rendering()
+            picture[renderer.render() >= 0.99 * _far_plane(model)] = _BACKGROUND
+            renderer.disable_depth_rendering()
+            pictures.append(_shrink(picture, width, height))
+    finally:
+        renderer.close()
+    return pictures
+
+
+def write(
+    path: str | Path, pictures: Sequence[Frame], fps: float, max_gif_bytes: int = 2_000_000
+) -> None:
+    """Writes pictures as .mp4, .gif or .png, whichever the name says; a .png holds the middle one.
+
+    Raises:
+        InputError: Another suffix, or a GIF that cannot be made small enough.
+    """
+    suffix = Path(path).suffix
+    if suffix == ".gif":
+        write_gif(path, pictures, fps, max_gif_bytes)
+    elif suffix == ".mp4":
+        write_mp4(path, pictures, fps)
+    elif suffix == ".png":
+        with replacing(path) as temporary:
+            Image.fromarray(pictures[len(pictures) // 2]).save(temporary)
+    else:
+        raise InputError("out", str(path), "a name that ends in .mp4, .gif or .png")
+
+
+def write_mp4(path: str | Path, pictures: Sequence[Frame], fps: float) -> None:
+    """An H.264 video that browsers play."""
+    import imageio_ffmpeg
+
+    height, width = pictures[0].shape[:2]
+    even = (width - width % 2, height - height % 2)  # the encoder's colour format needs it
+    with replacing(path) as temporary:
+        encoder = imageio_ffmpeg.write_frames(
+            str(temporary),
+            even,
+            fps=fps,
+            codec="libx264",
+            quality=None,
+            macro_block_size=1,
+            output_params=["-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
+        )
+        encoder.send(None)
+        for picture in pictures:
+            encoder.send(np.ascontiguousarray(picture[: even[1], : even[0]]))
+        encoder.close()
+
+
+def write_gif(
+    path: str | Path, pictures: Sequence[Frame], fps: float, max_bytes: int = 2_000_000
+) -> None:
+    """A looping GIF with one palette for all pictures, made smaller until it fits.
+
+    Raises:
+        InputError: Even the smallest setting is larger than `max_bytes`.
+    """
+    size = 0
+    # Fewer pictures cost less to the eye than smaller ones, down to about ten a second.
+    for scale, colours, least_fps in (
+        (1.0, 192, 20), (1.0, 96, 12.5), (0.75, 96, 12.5), (0.6, 64, 10), (0.4, 32, 8)
+    ):  # fmt: skip
+        stride = max(1, round(fps / least_fps))
+        with replacing(path) as temporary:
+            _save_gif(temporary, pictures[::stride], fps / stride, scale, colours)
+            size = temporary.stat().st_size
+        if size <= max_bytes:
+            return
+    Path(path).unlink()
+    raise InputError("max_mb", max_bytes / 1e6, f"at least {size / 1e6:.2f} MB for this motion")
+
+
+def _save_gif(
+    path: Path, pictures: Sequence[Frame], fps: float, scale: float, colours: int
+) -> None:
+    height, width = pictures[0].shape[:2]
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    images = [Image.fromarray(p).resize(size, Image.Resampling.LANCZOS) for p in pictures]
+    samples = images[:: max(1, len(images) // 8)]
+    sheet = Image.new("RGB", (size[0], size[1] * len(samples)))
+    for i, image in enumerate(samples):
+        sheet.paste(image, (0, i * size[1]))
+    palette = sheet.quantize(colours, method=Image.Quantize.MAXCOVERAGE)
+    # No dithering: its noise changes from picture to picture and doubles the file.
+    frames = [i.quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=round(100 / fps) * 10,
+        loop=0,
+        optimize=False,
+    )
+
+
+def _load_model(trajectory: Trajectory) -> Any:
+    import tempfile
+
+    import mujoco
+
+    if trajectory.mujoco_version != mujoco.__version__:
+        raise InputError(
+            "trajectory",
+            f"a model of MuJoCo {trajectory.mujoco_version}",
+            f"one of the installed MuJoCo {mujoco.__version__}: record it again",
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "model.mjb")
+        path.write_bytes(trajectory.model)
+        return mujoco.MjModel.from_binary_path(str(path))
+
+
+def _times(count: int, dt: float, fps: float) -> np.ndarray:
+    """Indices of the poses that are nearest to the pictures' times."""
+    pictures = int((count - 1) * dt * fps) + 1
+    return np.minimum(np.round(np.arange(pictures) / (fps * dt)).astype(int), count - 1)
+
+
+def _set_visuals(model: Any, width: int, height: int) -> None:
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.quality.shadowsize = 4096
+    model.vis.map.shadowscale = 0.7
+    model.vis.headlight.ambient[:] = 0.42
+    model.vis.headlight.diffuse[:] = 0.38
+    model.vis.headlight.specular[:] = 0.10
+
+
+def _add_key_light(scene: Any, target: Float[np.ndarray, " 3"], azimuth: float) -> None:
+    """A light above the camera's shoulder that casts shadows, whatever lights the model has."""
+    import mujoco
+
+    light = scene.lights[scene.nlight]
+    side = np.deg2rad(azimuth + 180.0 + 55.0)
+    light.type = mujoco.mjtLightType.mjLIGHT_SPOT
+    light.pos[:] = target + np.array([0.8 * np.cos(side), 0.8 * np.sin(side), 1.5])
+    direction = target - light.pos
+    light.dir[:] = direction / np.linalg.norm(direction)
+    light.attenuation[:] = (1.0, 0.0, 0.0)
+    light.cutoff, light.exponent = 60.0, 1.0
+    light.ambient[:] = 0.0
+    light.diffuse[:] = 0.55
+    light.specular[:] = 0.30
+    light.headlight, light.castshadow = 0, 1
+    light.bulbradius, light.range, light.texid = 0.05, 10.0, -1
+    scene.nlight += 1
+
+
+def _far_plane(model: Any) -> float:
+    return float(model.vis.map.zfar * model.stat.extent)
+
+
+def _shrink(picture: np.ndarray, width: int, height: int) -> Frame:
+    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX))
+
+
+def _first_line(error: Exception) -> str:
+    """The error's first line; some libraries' errors cannot even be printed."""
+    try:
+        lines = str(error).strip().splitlines()
+    except Exception:
+        lines = []
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.sim.physics import Readings
 
@@ -22,7 +22,7 @@ def privileged(
     readings: Readings,
     contacts: Float[Array, "*b f 3"],
     normals: Float[Array, "*b f 3"],
-    landed: Float[Array, "*b f"],
+    landed: Bool[Array, "*b f"],
     lifting: Float[Array, "*b"],
     time: Float[Array, "*b"],
     lift_time: Float[Array, "*b"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.config import ClosingConfig
@@ -28,8 +29,8 @@ def observe(
     residual: Float[Array, "*b s m"],
     q: Float[Array, "*b m"],
     qd: Float[Array, "*b m"],
-    limits: Float[Array, "m 2"],
-    dry_friction: Float[Array, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    dry_friction: Float[np.ndarray, " m"],
     physics_dt: float,
     config: ClosingConfig,
 ) -> tuple[ObserverState, Bool[Array, "*b f"]]:

@@ -110,19 +110,24 @@ def draw_starts(
         noise: Ranges.
         weights: Unnormalised probability of each row; see `balanced_weights`.
     """
-    keys = jax.random.split(key, 6)
+    # One draw for everything: every call of a random function is a kernel of its own.
+    u = jax.random.uniform(key, (worlds, 8))
     cumulative = jnp.cumsum(weights)
-    pick = jax.random.uniform(keys[0], (worlds,)) * cumulative[-1]
-    row = jnp.searchsorted(cumulative, pick, side="right").clip(0, len(weights) - 1)
-    axis = jax.random.normal(keys[2], (worlds, 3))
-    axis = axis / jnp.linalg.norm(axis, axis=-1, keepdims=True)
-    angle = noise.angle_rad * jax.random.uniform(keys[3], (worlds, 1))
+    row = jnp.searchsorted(cumulative, u[:, 0] * cumulative[-1], method="compare_all")
+    # A uniform axis: uniform height on the sphere, uniform angle around it.
+    z, around = 2.0 * u[:, 3] - 1.0, 2.0 * jnp.pi * u[:, 4]
+    flat = jnp.sqrt(jnp.maximum(1.0 - z**2, 0.0))
+    axis = jnp.stack([flat * jnp.cos(around), flat * jnp.sin(around), z], axis=-1)
+
+    def between(column: int, bounds: tuple[float, float]) -> Float[Array, " w"]:
+        return bounds[0] + (bounds[1] - bounds[0]) * u[:, column]
+
     return StartDraw(
-        row=row,
-        offset=noise.offset_m * jax.random.uniform(keys[1], (worlds, 2), minval=-1.0),
-        rotation=axis * angle,
-        friction=_uniform(keys[4], worlds, noise.friction),
-        mass_scale=_uniform(keys[5], worlds, noise.mass_scale),
+        row=row.clip(0, len(weights) - 1),
+        offset=noise.offset_m * (2.0 * u[:, 1:3] - 1.0),
+        rotation=axis * (noise.angle_rad * u[:, 5:6]),
+        friction=between(6, noise.friction),
+        mass_scale=between(7, noise.mass_scale),
     )
 
 
@@ -161,10 +166,6 @@ def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Ar
 def draw_params(starts: StartTable, draw: StartDraw) -> WorldParams:
     """The engine's parameters for a draw."""
     return make_params(starts.object_index[draw.row], draw.friction, draw.mass_scale)
-
-
-def _uniform(key: Array, worlds: int, bounds: tuple[float, float]) -> Float[Array, " w"]:
-    return jax.random.uniform(key, (worlds,), minval=bounds[0], maxval=bounds[1])
 
 
 def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:

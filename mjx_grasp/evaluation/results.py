@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.statistics import mean_rate_interval, wilson_interval
+from mjx_grasp.evaluation.statistics import mean_rate_interval
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
@@ -116,25 +118,6 @@ class Results(Generic[Row]):
     """Whatever else the writer recorded."""
 
 
-def make_row(
-    *,
-    successes: int,
-    episodes: int,
-    force_mean_n: float | None,
-    force_peak_n: float | None,
-    **others: Any,
-) -> ResultRow:
-    """A row with its Wilson interval; a force that is not a number becomes None."""
-    return ResultRow(
-        successes=successes,
-        episodes=episodes,
-        ci95=wilson_interval(successes, episodes),
-        force_mean_n=_number_or_none(force_mean_n),
-        force_peak_n=_number_or_none(force_peak_n),
-        **others,
-    )
-
-
 def write_results(
     path: str | Path, rows: Sequence[Row], provenance: dict[str, Any], **extra: Any
 ) -> None:
@@ -144,7 +127,7 @@ def write_results(
         path: The file.
         rows: At least one row; all of the same class.
         provenance: From `mjx_grasp.provenance.provenance`.
-        **extra: Further top-level entries. `label` names the controller in tables.
+        **extra: Further top-level entries. `label` names the policy in tables.
 
     Raises:
         InputError: No rows, rows of two kinds, or an incomplete provenance.
@@ -201,8 +184,6 @@ def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]
     """Mean of the rows' success rates, each row counting the same, and its 95 % interval [%]."""
     if not rows:
         raise InputError("rows", "none", "one row or more")
-    import numpy as np
-
     successes, episodes = (
         np.array([getattr(r, n) for r in rows]) for n in ("successes", "episodes")
     )
@@ -237,7 +218,3 @@ def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:
         raise FileError(path, f"{where}: {error}", "a row that agrees with itself") from None
-
-
-def _number_or_none(value: float | None) -> float | None:
-    return None if value is None or math.isnan(value) else float(value)

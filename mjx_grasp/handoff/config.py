@@ -32,9 +32,9 @@ class SamplingConfig:
     """object area in front of the arm [m]"""
     y_range: tuple[float, float] = (-0.25, 0.25)
     """object area, lateral [m]"""
-    poses_per_round: int = 64
+    poses_per_round: int = 128
     """object poses drawn at a time [-]"""
-    candidates_per_pose: int = 16
+    candidates_per_pose: int = 6
     """heatmap candidates tried on each [-]"""
     min_score: float = 0.05
     """candidates below this are not used, as in the selection [-]"""
@@ -58,6 +58,10 @@ class IkConfig:
     """pad normal against the inward direction [m/rad]"""
     posture_weight: float = 0.001
     """pull towards the open posture at home [m/rad]"""
+    clearance: float = 0.003
+    """hand spheres nearer than this to object, table or another finger are pushed away [m]"""
+    clearance_weight: float = 0.5
+    """of what is missing to that, against tip errors [m/m]"""
     limit_margin: float = 0.05
     """kept from every joint limit [rad]"""
     tolerance: float = 0.005

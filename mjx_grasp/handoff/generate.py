@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from mjx_grasp.handoff.clearance import DistanceGrid, distance_grid
 from mjx_grasp.handoff.collision import CollisionChecker
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
@@ -83,6 +84,7 @@ class HandoffGenerator:
         chosen: list[_Accepted] = []
         if suits.any():
             checker = CollisionChecker(build_scene([obj], self._robot))
+            grid = distance_grid(obj.pieces)
             variants = target_variants(
                 heatmap.thumb,
                 heatmap.normals,
@@ -93,7 +95,7 @@ class HandoffGenerator:
             )
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
-                accepted += self._round(obj, heatmap, variants, suits, checker, report, rng)
+                accepted += self._round(obj, heatmap, variants, suits, checker, grid, report, rng)
                 chosen = self._choose(accepted)
                 progress(len(chosen))
                 if len(chosen) == config.per_object:
@@ -102,7 +104,7 @@ class HandoffGenerator:
         report.seconds = time.perf_counter() - started
         return self._as_set(obj, chosen), report
 
-    def _round(self, obj, heatmap, variants, suits, checker, report, rng) -> list[_Accepted]:
+    def _round(self, obj, heatmap, variants, suits, checker, grid, report, rng) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
         sampling, targets, ik = self._config.sampling, self._config.targets, self._config.ik
         pos, quat = sample_object_poses(obj.resting, sampling.poses_per_round, sampling, rng)
@@ -131,7 +133,15 @@ class HandoffGenerator:
         goal = standoffs(contact, normal[:, None], targets)
         inward = np.broadcast_to(-normal[:, None], goal.shape)
         variant, entry = nearest_starts(self._library, goal, inward, usable, ik.restarts)
-        solution = self._solve_all(goal, inward, variant, entry)
+        rows = np.arange(len(pairs))[:, None]
+        solution = self._solve_all(
+            grid,
+            goal[rows, variant],
+            inward[rows, variant],
+            self._library.q[entry],
+            np.repeat(pos[pose][:, None], ik.restarts, axis=1),
+            np.repeat(rotation[:, None], ik.restarts, axis=1),
+        )
 
         # What the selection would take for u does not depend on heights.
         spreads = np.repeat(variants.usable[candidate][:, None], ik.restarts, axis=1)
@@ -163,22 +173,17 @@ class HandoffGenerator:
             accepted.append(_Accepted(at, int(rank[n]), int(candidate[n]), row))
         return accepted
 
-    def _solve_all(self, goal, inward, variant, entry) -> IkSolution:
-        """Solves all starts of all pairs in batches of one size; leaves are [pairs, starts, …]."""
-        shape = variant.shape
-        rows = np.arange(shape[0])[:, None]
+    def _solve_all(self, grid: DistanceGrid, *inputs: np.ndarray) -> IkSolution:
+        """Solves all starts of all pairs in batches of one size; arrays are [pairs, starts, …]."""
+        shape = inputs[0].shape[:2]
+        flat = [np.float32(x).reshape(-1, *x.shape[2:]) for x in inputs]
         batch = self._config.sampling.poses_per_round * self._config.sampling.candidates_per_pose
-        inputs = [
-            np.float32(goal[rows, variant]).reshape(-1, 3, 3),
-            np.float32(inward[rows, variant]).reshape(-1, 3, 3),
-            self._library.q[entry].reshape(shape[0] * shape[1], -1),
-        ]
         parts = []
-        for first in range(0, len(inputs[0]), batch):
-            part = [x[first : first + batch] for x in inputs]
+        for first in range(0, len(flat[0]), batch):
+            part = [x[first : first + batch] for x in flat]
             short = batch - len(part[0])
             full = [np.concatenate([x, np.repeat(x[:1], short, axis=0)]) for x in part]
-            solved = self._solve(*full)
+            solved = self._solve(*full, grid)
             parts.append([np.asarray(leaf)[: batch - short] for leaf in solved])
         leaves = [np.concatenate(leaf) for leaf in zip(*parts, strict=True)]
         return IkSolution(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in leaves))

@@ -11,13 +11,20 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from mjx_grasp.handoff.clearance import (
+    HandSpheres,
+    hand_spheres,
+    outside_clearance,
+    own_clearance,
+)
 from mjx_grasp.handoff.config import IkConfig
 from mjx_grasp.robot.kinematics import Kinematics
 from mjx_grasp.robot.spec import RobotSpec
 
 _FINGERS = 3
+_PALM = 2 * _FINGERS
 _DAMPING_START, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.3, 5.0
 # Added to the diagonal that the damping scales, so that a joint without a lever does not run off.
 _DAMPING_FLOOR = 1e-3
@@ -36,24 +43,26 @@ class IkSolution(NamedTuple):
         cost: ``[b]`` the objective, [m²].
     """
 
-    q: Float[Array, "b joints"]
-    residual: Float[Array, "b 3"]
-    pad_angle: Float[Array, "b 3"]
-    approach: Float[Array, "b 3"]
-    at_limit: Bool[Array, " b"]
-    cost: Float[Array, " b"]
+    q: Float[np.ndarray, "b joints"]
+    residual: Float[np.ndarray, "b 3"]
+    pad_angle: Float[np.ndarray, "b 3"]
+    approach: Float[np.ndarray, "b 3"]
+    at_limit: Bool[np.ndarray, " b"]
+    cost: Float[np.ndarray, " b"]
 
 
 class RobotArrays(NamedTuple):
     """What the solver needs of a robot, in the robot's joint order.
 
     Attributes:
-        kinematics: Frames: the three tips, the three pads, the palm.
+        kinematics: Frames: the three tips, the three pads, the palm, then the bodies that carry
+            the spheres.
         lower, upper: ``[joints]`` position limits in [rad].
         nominal: ``[joints]`` home with the hand open, [rad].
         solved: ``[joints]`` whether a joint is solved for; the others stay nominal.
         arm: ``[joints]`` whether a joint is the arm's.
         approach_axis: ``[3]`` the palm's approach direction in its frame.
+        spheres: The hand's shape; its frames count from the first sphere body.
     """
 
     kinematics: Kinematics
@@ -63,72 +72,90 @@ class RobotArrays(NamedTuple):
     solved: np.ndarray
     arm: np.ndarray
     approach_axis: np.ndarray
+    spheres: HandSpheres
 
 
 def robot_arrays(robot: RobotSpec) -> RobotArrays:
-    """Limits, postures and kinematics of arm and grasping fingers, from the robot's MJCF."""
+    """Limits, postures, shape and kinematics of arm and hand, from the robot's MJCF."""
     model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
     fingers = robot.hand.fingers
     sites = [f.tip_site for f in fingers] + [f.pad_site for f in fingers]
-    kinematics = Kinematics.from_model(model, [*sites, robot.hand.palm_site])
+    bodies = [robot.hand.palm_body, *(body for f in fingers for body in f.bodies)]
     joints = [model.joint(name) for name in robot.joints]
     driven = set(robot.arm.joints).union(*(f.joints for f in fingers))
+    addresses = np.array([int(j.qposadr[0]) for j in joints])
     return RobotArrays(
-        kinematics=kinematics,
+        kinematics=Kinematics.from_model(model, [*sites, robot.hand.palm_site], bodies),
         lower=np.array([j.range[0] for j in joints]),
         upper=np.array([j.range[1] for j in joints]),
         nominal=np.array(robot.home),
         solved=np.array([name in driven for name in robot.joints]),
         arm=np.array([name in robot.arm.joints for name in robot.joints]),
         approach_axis=np.array(robot.hand.approach_axis),
+        spheres=hand_spheres(model, robot, addresses, bodies),
     )
 
 
-def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[[Array, Array, Array], IkSolution]:
-    """Compiles ``solve(targets[b, 3, 3], inward[b, 3, 3], start[b, joints]) -> IkSolution``.
+def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
+    """Compiles the solver of many problems around one object.
 
-    Minimises, over the arm and the three grasping fingers and within the joint limits,
-    ``Σ |x_tip − target|² + (w_o |n_pad − inward|)² + (w_p |q − q_nominal|)²`` with a fixed number
-    of Levenberg–Marquardt steps. Joints pushed against a limit leave the step, so that the others
-    make up for them. Targets are standoff positions of the tip frames' origins and unit inward
-    directions, world frame.
+    ``solve(targets[b, 3, 3], inward[b, 3, 3], start[b, joints], p_wo[b, 3], R_wo[b, 3, 3], grid)``
+    minimises, over the arm and the three grasping fingers and within the joint limits,
+
+    ``Σ |x_tip − target|² + (w_o |n_pad − inward|)² + (w_p |q − q_nominal|)² + (w_c · missing)²``
+
+    with a fixed number of Levenberg–Marquardt steps; *missing* is what a sphere of the hand lacks
+    in clearance from object and table, and what it lacks from the other fingers. Joints pushed
+    against a limit leave the step, so that the others make up for them. Targets are standoff
+    positions of the tip frames' origins and unit inward directions, world frame; the grid is the
+    object's, posed by ``p_wo, R_wo``.
 
     Args:
         arrays: The robot.
         config: Weights and number of steps.
     """
-    kin = arrays.kinematics
+    kin, spheres = arrays.kinematics, arrays.spheres
     columns = np.flatnonzero(arrays.solved)
     margin = np.minimum(config.limit_margin, 0.25 * (arrays.upper - arrays.lower))
     lower = np.float32(arrays.lower + margin)[columns]
     upper = np.float32(arrays.upper - margin)[columns]
     nominal = np.float32(arrays.nominal)
-    w_o, w_p = config.orientation_weight, config.posture_weight
+    w_o, w_p, w_c = config.orientation_weight, config.posture_weight, config.clearance_weight
+    carrier = spheres.frame + _PALM + 1
+    reach = np.tile(np.float32(spheres.radius + config.clearance), 2)
 
     def full(x):
         return jnp.asarray(nominal).at[columns].set(x)
 
-    def errors(x, targets, inward):
+    def errors(x, problem):
+        """Weighted residuals of tips, pads and clearance, and what their Jacobian needs."""
+        targets, inward, p_wo, R_wo, grid = problem
         pos, mat = kin.forward(full(x))
-        pads = mat[_FINGERS : 2 * _FINGERS, :, 0]
-        return (pos[:_FINGERS] - targets), w_o * (pads - inward), pads
+        pads = mat[_FINGERS:_PALM, :, 0]
+        arm = jnp.sum(mat[carrier] * np.float32(spheres.offset)[:, None, :], axis=-1)
+        centre = pos[carrier] + arm
+        distance, away = outside_clearance(grid, centre, p_wo, R_wo)
+        own_distance, own_away = own_clearance(spheres, centre)
+        missing = jnp.maximum(reach - jnp.concatenate([distance, own_distance]), 0.0)
+        away = jnp.where(missing[:, None] > 0, jnp.concatenate([away, own_away]), 0.0)
+        parts = pos[:_FINGERS] - targets, w_o * (pads - inward), w_c * missing
+        return jnp.concatenate([part.reshape(-1) for part in parts]), pads, arm, away
 
-    def objective(x, targets, inward):
-        position, orientation, _ = errors(x, targets, inward)
+    def objective(x, problem):
         posture = w_p * (x - nominal[columns])
-        return jnp.sum(position**2) + jnp.sum(orientation**2) + jnp.sum(posture**2)
+        return jnp.sum(errors(x, problem)[0] ** 2) + jnp.sum(posture**2)
 
-    def step(_, state, targets, inward):
+    def step(_, state, problem):
         x, cost, damping = state
-        position, orientation, pads = errors(x, targets, inward)
+        residual, pads, arm, away = errors(x, problem)
         jacobian = kin.jacobian(full(x))[:, :, columns]
-        turning = jacobian[_FINGERS : 2 * _FINGERS, 3:]
-        # d(n_pad) = ω × n_pad
+        # d(n_pad) = ω × n_pad, and a sphere's clearance changes by −away · (v + ω × arm).
+        turning = jacobian[_FINGERS:_PALM, 3:]
         swing = w_o * jnp.cross(turning, pads[:, :, None], axisa=1, axisb=1, axisc=1)
-        rows = jnp.concatenate(
-            [jacobian[:_FINGERS, :3].reshape(9, -1), swing.reshape(9, -1)], axis=0
-        )
-        residual = jnp.concatenate([position.reshape(-1), orientation.reshape(-1)])
+        wrench = jnp.concatenate([away, jnp.cross(jnp.tile(arm, (2, 1)), away)], axis=-1)
+        closing = -w_c * jnp.sum(wrench[:, :, None] * jacobian[np.tile(carrier, 2)], axis=1)
+        rows = [jacobian[:_FINGERS, :3].reshape(9, -1), swing.reshape(9, -1), closing]
+        rows = jnp.concatenate(rows, axis=0)
         gradient = rows.T @ residual + w_p**2 * (x - nominal[columns])
         stuck = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
         free = jnp.where(stuck, 0.0, 1.0)
@@ -137,7 +164,7 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[[Array, Array, Ar
         hessian = hessian + damping * jnp.diag(jnp.diag(hessian) + _DAMPING_FLOOR)
         move = cho_solve(cho_factor(hessian), gradient * free)
         trial = jnp.clip(x - move, lower, upper)
-        trial_cost = objective(trial, targets, inward)
+        trial_cost = objective(trial, problem)
         better = trial_cost < cost
         damping = damping * jnp.where(better, _DAMPING_FALL, _DAMPING_RISE)
         return (
@@ -146,26 +173,28 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[[Array, Array, Ar
             jnp.clip(damping, *_DAMPING_RANGE),
         )
 
-    def solve_one(targets, inward, start):
+    def solve_one(targets, inward, start, p_wo, R_wo, grid):
+        problem = targets, inward, p_wo, R_wo, grid
         x = jnp.clip(start[columns], lower, upper)
-        state = (x, objective(x, targets, inward), jnp.float32(_DAMPING_START))
-        body = partial(step, targets=targets, inward=inward)
+        state = (x, objective(x, problem), jnp.float32(_DAMPING_START))
+        body = partial(step, problem=problem)
         x, cost, _ = jax.lax.fori_loop(0, config.iterations, body, state)
         q = full(x)
         pos, mat = kin.forward(q)
-        cosine = jnp.sum(mat[_FINGERS : 2 * _FINGERS, :, 0] * inward, axis=-1)
+        cosine = jnp.sum(mat[_FINGERS:_PALM, :, 0] * inward, axis=-1)
         return IkSolution(
             q=q,
             residual=jnp.sqrt(jnp.sum((pos[:_FINGERS] - targets) ** 2, axis=-1)),
             pad_angle=jnp.arccos(jnp.clip(cosine, -1.0, 1.0)),
-            approach=mat[-1] @ jnp.float32(arrays.approach_axis),
+            approach=mat[_PALM] @ jnp.float32(arrays.approach_axis),
             at_limit=jnp.any((x <= lower) | (x >= upper)),
             cost=cost,
         )
 
     @jax.jit
-    def solve(targets, inward, start):
+    def solve(targets, inward, start, p_wo, R_wo, grid):
         with jax.default_matmul_precision("highest"):
-            return jax.vmap(solve_one)(targets, inward, start)
+            each = jax.vmap(solve_one, in_axes=(0, 0, 0, 0, 0, None))
+            return each(targets, inward, start, p_wo, R_wo, grid)
 
     return solve

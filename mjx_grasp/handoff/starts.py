@@ -95,7 +95,7 @@ def build_library(
         for _ in range(_MAX_BATCHES):
             q = sample()
             pos, mat = forward(np.float32(q))
-            good = q[np.asarray(keep(pos[:, :3], mat[:, 3:6, :, 0], pos[:, -1]))]
+            good = q[np.asarray(keep(pos[:, :3], mat[:, 3:6, :, 0], pos[:, 6]))]
             kept.append(good)
             count += len(good)
             if count >= wanted:

@@ -13,7 +13,7 @@ TURN_DEG = 24.0  # how far the camera turns about the focus from the first pictu
 _LOOK_ABOVE_FOCUS_M = 0.05
 _FOLLOW_S = 0.6  # time over which the camera smooths what it follows
 _AZIMUTHS = 16
-_SMALL_PIXELS = 96  # side of the pictures on which visibility is judged
+JUDGED_PIXELS = 96  # side of the pictures on which visibility is judged
 
 
 def look_at(
@@ -54,7 +54,7 @@ def best_azimuth(
     scores = np.zeros(_AZIMUTHS)
     camera = mujoco.MjvCamera()
     camera.distance, camera.elevation, camera.lookat[:] = DISTANCE_M, ELEVATION_DEG, target
-    with mujoco.Renderer(model, _SMALL_PIXELS, _SMALL_PIXELS) as renderer:
+    with mujoco.Renderer(model, JUDGED_PIXELS, JUDGED_PIXELS) as renderer:
         renderer.enable_segmentation_rendering()
         for i, azimuth in enumerate(azimuths):
             camera.azimuth = azimuth

@@ -188,7 +188,8 @@ def _times(count: int, dt: float, fps: float) -> np.ndarray:
 
 
 def _set_visuals(model: Any, width: int, height: int) -> None:
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.global_.offwidth = max(width, view.JUDGED_PIXELS)
+    model.vis.global_.offheight = max(height, view.JUDGED_PIXELS)
     model.vis.quality.shadowsize = 4096
     model.vis.map.shadowscale = 0.7
     model.vis.headlight.ambient[:] = 0.42

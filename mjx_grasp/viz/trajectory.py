@@ -128,11 +128,12 @@ def load_trajectory(path: str | Path) -> Trajectory:
         raise FileError(path, error.strerror or "an unreadable file", expected) from None
     try:
         with np.load(content, allow_pickle=False) as file:
-            fields = {name: file[name] for name in _FIELDS}
-    except KeyError as error:
-        raise FileError(path, f"no field {error.args[0]!r}", expected) from None
+            missing = [name for name in _FIELDS if name not in file]
+            fields = {name: file[name] for name in _FIELDS if name in file}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError, TypeError):
         raise FileError(path, "no readable npz archive", expected) from None
+    if missing:
+        raise FileError(path, f"no field {', '.join(missing)}", expected)
     if str(fields["schema"]) != SCHEMA:
         raise FileError(path, f"schema {str(fields['schema'])!r}", f"schema {SCHEMA!r}")
     try:

@@ -1,4 +1,4 @@
-"""Renders a recorded trajectory: `python -m mjx_grasp.viz.video TRAJECTORY.npz --out grasp.mp4`.
+"""`python -m mjx_grasp.viz.video`: a recorded trajectory as a video, a GIF or a picture.
 
 MuJoCo chooses its renderer when it is first imported. Rendering therefore happens in a process of
 its own, without a display: through EGL, or else through OSMesa.
@@ -15,6 +15,7 @@ from typing import Annotated
 
 import tyro
 
+from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.viz.trajectory import load_trajectory
 
@@ -107,29 +108,23 @@ def _try_backend(config: VideoConfig, backend: str, timeout_s: float) -> str | N
     raise RenderError(f"{config.trajectory}: rendering failed: {lines[-1]}")
 
 
-def main(config: VideoConfig) -> int:
+def main(config: VideoConfig) -> None:
     """Renders here if MUJOCO_GL names a backend, else in a process where it does."""
-    try:
-        if os.environ.get("MUJOCO_GL", "").lower() not in BACKENDS:
-            render_in_subprocess(config)
-            print(f"wrote {config.out}")
-            return 0
-        from mjx_grasp.viz import frames
+    if os.environ.get("MUJOCO_GL", "").lower() not in BACKENDS:
+        render_in_subprocess(config)
+        print(f"written: {config.out}")
+        return
+    from mjx_grasp.viz import frames
 
-        trajectory = load_trajectory(config.trajectory)
-        try:
-            pictures = frames.render(
-                trajectory, config.width, config.height, config.fps / config.speed
-            )
-        except frames.BackendError as error:
-            print(error, file=sys.stderr)
-            return _RENDERING_FAILED
-        frames.write(config.out, pictures, config.fps, round(config.max_mb * 1e6))
-    except MjxGraspError as error:
+    trajectory = load_trajectory(config.trajectory)
+    try:
+        rate = config.fps / config.speed
+        pictures = frames.render(trajectory, config.width, config.height, rate)
+    except frames.BackendError as error:
         print(error, file=sys.stderr)
-        return 1
-    return 0
+        sys.exit(_RENDERING_FAILED)
+    frames.write(config.out, pictures, config.fps, round(config.max_mb * 1e6))
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(VideoConfig, description=VideoConfig.__doc__)))
+    run_command(lambda: main(tyro.cli(VideoConfig, description=__doc__)))

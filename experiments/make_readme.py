@@ -1,0 +1,162 @@
+"""Puts the numbers of experiments/results/*.json into README.md and experiments/README.md.
+
+`python experiments/make_readme.py` rewrites the generated sections; with `--check` it changes
+nothing and fails if a section is stale.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.layout import Table
+from mjx_grasp.evaluation.results import (
+    SCHEMAS,
+    ResultRow,
+    ThroughputRow,
+    read_results,
+    schema_of,
+)
+from mjx_grasp.evaluation.tables import (
+    condition_table,
+    failure_table,
+    force_table,
+    read_groups,
+    summary_table,
+    throughput_table,
+)
+
+ROOT = Path(__file__).resolve().parent.parent
+NOTHING = "_No results file yet._"
+EXPLANATION = (
+    "Success in %, with 95 % intervals of the trials in brackets; force is the net contact force "
+    f"per finger from lift onset. The last columns are quoted from {paper.CITATION}."
+)
+
+
+@dataclass(frozen=True)
+class ReadmeConfig:
+    """Writes the generated sections of the READMEs."""
+
+    check: bool = False
+    """Change nothing; fail if a generated section does not match the results."""
+    root: Path = ROOT
+    """The repository."""
+
+
+def sections(root: Path) -> dict[Path, dict[str, str]]:
+    """The text of every generated section, by file and name.
+
+    Raises:
+        FileError: A results file is damaged.
+    """
+    files = sorted((root / "experiments" / "results").glob("*.json"))
+    schemas = {path: schema_of(path) for path in files}
+    results = [p for p in files if schemas[p] == SCHEMAS[ResultRow]]
+    throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
+    return {
+        root / "README.md": {
+            "results": _main_results(results),
+            "throughput": _throughput(throughput),
+        },
+        root / "experiments" / "README.md": {
+            "tables": _all_tables(results),
+            "files": _provenance(files).markdown() if files else NOTHING,
+        },
+    }
+
+
+def filled(text: str, contents: dict[str, str], path: Path) -> str:
+    """A README with its generated sections replaced.
+
+    Raises:
+        FileError: The file lacks a pair of markers.
+    """
+    for name, content in contents.items():
+        begin, end = f"<!-- generated:{name} -->", f"<!-- /generated:{name} -->"
+        pattern = re.compile(f"({re.escape(begin)}\n).*?({re.escape(end)})", re.DOTALL)
+        block = f"{begin}\n{content}\n{end}"
+        text, count = pattern.subn(lambda _, block=block: block, text)
+        if count != 1:
+            raise FileError(path, f"{count} sections {name!r}", f"one pair {begin} … {end}")
+    return text
+
+
+def main(config: ReadmeConfig) -> None:
+    """The command."""
+    stale = []
+    for path, contents in sections(config.root).items():
+        old = path.read_text(encoding="utf-8")
+        new = filled(old, contents, path)
+        if new != old and config.check:
+            stale.append(path.relative_to(config.root).as_posix())
+        elif new != old:
+            with replacing(path) as temporary:
+                temporary.write_text(new, encoding="utf-8")
+    if stale:
+        raise InputError("README sections", stale, "those of the results: run `make readme`")
+
+
+def _main_results(paths: Sequence[Path]) -> str:
+    groups = read_groups(paths)
+    if not groups:
+        return NOTHING
+    condition, columns = next(iter(groups.items()))
+    table = condition_table(condition, columns)
+    parts = [f"{table.title}:", table.markdown(), EXPLANATION]
+    if len(groups) > 1:
+        parts += ["All conditions, means over the objects:", summary_table(groups).markdown()]
+    return "\n\n".join(parts)
+
+
+def _all_tables(paths: Sequence[Path]) -> str:
+    groups = read_groups(paths)
+    if not groups:
+        return NOTHING
+    parts = [EXPLANATION]
+    for condition, columns in groups.items():
+        success = condition_table(condition, columns)
+        parts += [f"### {success.title}", success.markdown()]
+        for table in (force_table(condition, columns), failure_table(condition, columns)):
+            parts += [f"{table.title.partition(':')[0]}:", table.markdown()]
+    return "\n\n".join(parts)
+
+
+def _throughput(paths: Sequence[Path]) -> str:
+    if not paths:
+        return NOTHING
+    return throughput_table([read_results(p, ThroughputRow) for p in paths]).markdown()
+
+
+def _provenance(paths: Sequence[Path]) -> Table:
+    rows = []
+    for path in paths:
+        made = json.loads(path.read_text()).get("provenance", {})
+        versions = made.get("versions", {})
+        shown = ", ".join(f"{n} {versions[n]}" for n in ("jax", "mujoco") if n in versions)
+        rows.append(
+            (
+                f"[{path.name}](results/{path.name})",
+                f"`{made.get('command', '')}`",
+                f"{made.get('git', '')[:12]}{'-dirty' * str(made.get('git')).endswith('-dirty')}",
+                str(made.get("device", "")),
+                shown,
+                str(made.get("seed", "")),
+            )
+        )
+    header = ("file", "command", "git", "device", "versions", "seed")
+    return Table("Results files", header, tuple(rows), names=5)
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(ReadmeConfig, description=__doc__, args=sys.argv[1:])))

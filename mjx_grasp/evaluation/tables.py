@@ -1,0 +1,287 @@
+"""Results files as tables, in Markdown for the READMEs and in HTML for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.layout import Table
+from mjx_grasp.evaluation.results import (
+    ResultRow,
+    Results,
+    ThroughputRow,
+    mean_success,
+    read_results,
+)
+
+_ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
+_HANDOFFS = {"ik": "IK handoffs", "reached": "reached handoffs"}
+
+
+class Condition(NamedTuple):
+    """What a table's columns have in common."""
+
+    engine: str
+    handoffs: str
+    friction: float
+    offset_mm: float
+    angle_deg: float
+    objects: frozenset[str]
+
+    def text(self) -> str:
+        """The condition in words."""
+        return (
+            f"{_ENGINES.get(self.engine, self.engine)}, "
+            f"{_HANDOFFS[self.handoffs]}, object offset ±{self.offset_mm:g} mm, "
+            f"{self.angle_deg:g}°, friction {self.friction:g}"
+        )
+
+
+class Column(NamedTuple):
+    """One controller under a condition."""
+
+    label: str
+    rows: dict[str, ResultRow]
+
+    def mean(self) -> tuple[float, tuple[float, float]]:
+        """Mean success over the objects and its 95 % interval [%]."""
+        return mean_success(list(self.rows.values()))
+
+    def forces(self) -> tuple[float | None, float | None]:
+        """Mean over the objects of the mean force, and the largest peak force [N]."""
+        means = [r.force_mean_n for r in self.rows.values() if r.force_mean_n is not None]
+        peaks = [r.force_peak_n for r in self.rows.values() if r.force_peak_n is not None]
+        return (sum(means) / len(means) if means else None, max(peaks, default=None))
+
+
+Groups = dict[Condition, list[Column]]
+
+
+def read_groups(paths: Iterable[str | Path]) -> Groups:
+    """Reads results files and sorts their controllers into conditions.
+
+    Raises:
+        FileError: A file cannot be read, or it repeats an outcome of another one.
+    """
+    groups: Groups = {}
+    origin: dict[tuple[Condition, str], Path] = {}
+    for path in map(Path, paths):
+        results = read_results(path)
+        try:
+            columns = _columns(results.rows, str(results.extra.get("label", "policy")))
+        except InputError as error:
+            raise FileError(path, str(error.found), error.expected) from None
+        for condition, column in columns:
+            if (condition, column.label) in origin:
+                raise FileError(
+                    path,
+                    f"{column.label!r} as in {origin[condition, column.label]}",
+                    "one file per controller and condition, or another `label`",
+                )
+            origin[condition, column.label] = path
+            groups.setdefault(condition, []).append(column)
+    for group in groups.values():
+        group.sort(key=_column_order)
+    return dict(sorted(groups.items(), key=lambda item: _condition_order(item[0])))
+
+
+def success_table(rows: Sequence[ResultRow], with_paper: bool = True) -> Table:
+    """The table of `condition_table` from the rows of one run.
+
+    Raises:
+        InputError: The rows are of several conditions, or repeat an outcome.
+    """
+    groups: Groups = {}
+    for condition, column in _columns(rows):
+        groups.setdefault(condition, []).append(column)
+    if len(groups) != 1:
+        raise InputError("rows", f"{len(groups)} conditions", "rows of one condition")
+    ((condition, columns),) = groups.items()
+    return condition_table(condition, sorted(columns, key=_column_order), with_paper)
+
+
+def condition_table(
+    condition: Condition, columns: Sequence[Column], with_paper: bool = True
+) -> Table:
+    """Success per object with 95 % intervals, one column per controller; means and forces below.
+
+    Args:
+        condition: What the columns share.
+        columns: The controllers.
+        with_paper: Whether the publication's figures stand beside them, where it has any.
+    """
+    names = _object_order(condition.objects)
+    with_paper = with_paper and bool(condition.objects & paper.OBJECTS.keys())
+    header = ["object", *(c.label for c in columns)]
+    if with_paper:
+        header += ["paper: policy", "paper: squeeze 3 N"]
+    rows = []
+    for name in names:
+        cells = [_rate(c.rows[name].success_percent, c.rows[name].ci95) for c in columns]
+        rows.append((_title(name), *cells, *_paper_cells(name, with_paper)))
+    complete = condition.objects == paper.OBJECTS.keys()
+    means = [f"{m:.1f}" for m in paper.MEAN[:2]] if complete else ["", ""]
+    rows.append(("mean %", *(_rate(*c.mean()) for c in columns), *(means if with_paper else [])))
+    rows.append(
+        (
+            "force mean / peak N",
+            *(_forces(*c.forces()) for c in columns),
+            *(["", ""] if with_paper else []),
+        )
+    )
+    return Table(_title_of(condition, columns), tuple(header), tuple(rows), summary=2)
+
+
+def force_table(condition: Condition, columns: Sequence[Column]) -> Table:
+    """Mean and peak contact force per object and controller [N]."""
+    rows = [
+        (
+            _title(name),
+            *(_forces(c.rows[name].force_mean_n, c.rows[name].force_peak_n) for c in columns),
+        )
+        for name in _object_order(condition.objects)
+    ]
+    return Table(
+        f"Contact force per finger, mean / peak N: {_title_of(condition, columns)}",
+        ("object", *(c.label for c in columns)),
+        tuple(rows),
+    )
+
+
+def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
+    """Share of each failure class in all episodes [%], beside the publication's."""
+    header = ("failure %", *(c.label for c in columns), "paper: policy", "paper: squeeze 3 N")
+    rows = []
+    for name in ("never_lifted", "not_held", "slipped"):
+        cells = []
+        for column in columns:
+            episodes = sum(r.episodes for r in column.rows.values())
+            count = sum(getattr(r, name) for r in column.rows.values())
+            cells.append(f"{100 * count / episodes:.1f}")
+        of_paper = [f"{paper.FAILURES[who][name]:.1f}" for who in ("ours", "squeeze")]
+        rows.append((name.replace("_", " "), *cells, *of_paper))
+    return Table(f"Failures: {_title_of(condition, columns)}", header, tuple(rows))
+
+
+def summary_table(groups: Groups) -> Table:
+    """One line per condition and controller: mean success and force."""
+    rows = []
+    for condition, columns in groups.items():
+        for column in columns:
+            mean, force = column.forces()
+            rows.append(
+                (
+                    f"{condition.text()}, {len(condition.objects)} objects",
+                    column.label,
+                    _rate(*column.mean()),
+                    _force(mean),
+                    _force(force),
+                )
+            )
+    header = ("condition", "controller", "mean success %", "mean force N", "peak force N")
+    return Table("All conditions", header, tuple(rows), names=2)
+
+
+def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
+    """Speed and memory against worlds, device by device."""
+    rows = []
+    for file in files:
+        for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
+            rows.append(
+                (
+                    str(file.provenance["device"]),
+                    f"{row.loop}, {_ENGINES.get(row.engine, row.engine)}",
+                    f"{row.objects}",
+                    f"{row.worlds:,}",
+                    f"{row.control_steps_per_s:,.0f}",
+                    "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
+                )
+            )
+    header = ("device", "loop", "objects", "worlds", "control steps/s", "device memory GiB")
+    return Table("Speed and memory", header, tuple(rows), names=2)
+
+
+def _columns(
+    rows: Sequence[ResultRow], policy_label: str = "policy"
+) -> list[tuple[Condition, Column]]:
+    """Rows by condition and controller."""
+    parts: dict[ResultRow, dict[str, ResultRow]] = {}
+    for row in rows:
+        part = parts.setdefault(_without_outcome(row), {})
+        if row.object in part:
+            raise InputError("rows", f"two of {row.object} under one condition", "one of each")
+        part[row.object] = row
+    found = []
+    for key, part in parts.items():
+        label = policy_label if key.controller == "policy" else key.controller
+        if key.squeeze_force_n is not None:
+            label += f" {key.squeeze_force_n:g} N"
+        condition = Condition(
+            key.engine, key.handoffs, key.friction, key.offset_mm, key.angle_deg, frozenset(part)
+        )
+        found.append((condition, Column(label, part)))
+    return found
+
+
+def _without_outcome(row: ResultRow) -> ResultRow:
+    """The row's controller and condition alone, as a key."""
+    return replace(
+        row, object="", episodes=1, successes=1, never_lifted=0, not_held=0, slipped=0,
+        ci95=(0.0, 100.0), force_mean_n=None, force_peak_n=None,
+    )  # fmt: skip
+
+
+def _column_order(column: Column) -> tuple[bool, float, str]:
+    force = next(iter(column.rows.values())).squeeze_force_n
+    return (force is not None, force or 0.0, column.label)
+
+
+def _condition_order(c: Condition) -> tuple:
+    """The publication's eight objects first, native MuJoCo before MJX, small errors first."""
+    return (
+        c.objects != paper.OBJECTS.keys(),
+        sorted(c.objects),
+        c.engine != "mujoco",
+        c.handoffs != "reached",
+        -c.friction,
+        c.offset_mm,
+        c.angle_deg,
+    )
+
+
+def _object_order(objects: Iterable[str]) -> list[str]:
+    order = {name: i for i, name in enumerate(paper.OBJECTS)}
+    return sorted(objects, key=lambda name: (order.get(name, len(order)), name))
+
+
+def _title_of(condition: Condition, columns: Sequence[Column]) -> str:
+    episodes = sorted({r.episodes for c in columns for r in c.rows.values()})
+    count = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]}–{episodes[-1]}"
+    return f"{condition.text()}, {count} episodes per object"
+
+
+def _paper_cells(name: str, with_paper: bool) -> list[str]:
+    if not with_paper:
+        return []
+    row = paper.OBJECTS.get(name)
+    return [f"{row.ours:.1f}", f"{row.squeeze:.1f}"] if row else ["", ""]
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _rate(percent: float, interval: tuple[float, float]) -> str:
+    return f"{percent:.1f} ({interval[0]:.0f}–{interval[1]:.0f})"
+
+
+def _force(newton: float | None) -> str:
+    return "" if newton is None else f"{newton:.1f}"
+
+
+def _forces(mean: float | None, peak: float | None) -> str:
+    return "" if mean is None or peak is None else f"{_force(mean)} / {_force(peak)}"

@@ -1,0 +1,143 @@
+"""The report of a run: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.tables import condition_table, failure_table, force_table, read_groups
+from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+
+_STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;color:#1f2630;background:#f4f6f8;margin:0}
+main{max-width:60rem;margin:2rem auto;padding:1.5rem 2.2rem 2.5rem;background:#fff;
+border:1px solid #dfe3e8;border-radius:8px}
+h1{font-size:1.5rem;margin:.2rem 0}h2{font-size:1.1rem;margin:2.2rem 0 .6rem}
+p.lead,caption{color:#5b6470}img,video{max-width:100%;border-radius:6px}
+table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.8rem 0 1.4rem;
+display:block;overflow-x:auto}
+caption{text-align:left;padding-bottom:.4rem;font-size:.9rem}
+th,td{padding:.28rem .8rem;text-align:right;border-bottom:1px solid #e6e9ee;white-space:nowrap}
+th:first-child,td:first-child{text-align:left}
+th{font-weight:600;background:#f4f6f8}tr.summary td{font-weight:600;border-bottom:0}
+.note{background:#fff6e5;border:1px solid #f0d9a8;border-radius:6px;padding:.7rem 1rem}
+pre{background:#f4f6f8;border-radius:6px;padding:.8rem 1rem;overflow-x:auto;font-size:.82rem}
+summary{cursor:pointer;color:#2563a8}
+"""
+
+
+def write_report(
+    run_dir: str | Path,
+    results_paths: Sequence[str | Path],
+    video_path: str | Path | None,
+    video_problem: str | None,
+    out_html: str | Path,
+) -> None:
+    """Writes the report of a run.
+
+    What the run lacks is named in its place; only results files that are given must be readable.
+
+    Args:
+        run_dir: The run's folder: metrics.csv, config.json, provenance.json.
+        results_paths: Results files of its evaluation.
+        video_path: A rendered grasp (.mp4 or .gif), or None.
+        video_problem: Why there is no video and how to get one; shown in its place.
+        out_html: The report.
+
+    Raises:
+        FileError: A results file cannot be read.
+    """
+    run = Path(run_dir)
+    provenance = _read_json(run / "provenance.json")
+    if provenance is None and results_paths:
+        provenance = read_results(results_paths[0]).provenance
+    sections = [
+        _section("A grasp", _video(video_path, video_problem)),
+        _section("Success", _results(results_paths)),
+        _section("Training", _curves(run / "metrics.csv")),
+        _section("Configuration", _facts(_read_json(run / "config.json"), "config.json")),
+        _section("Provenance", _facts(provenance, "provenance.json")),
+    ]
+    page = (
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        "<meta name='viewport' content='width=device-width'>"
+        f"<title>mjx_grasp: {html.escape(run.name)}</title><style>{_STYLE}</style></head>"
+        f"<body><main><h1>Training {html.escape(run.name)}</h1>"
+        f"<p class='lead'>{html.escape(_lead(provenance))}</p>{''.join(sections)}"
+        "</main></body></html>\n"
+    )
+    with replacing(out_html) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{title}</h2>{body}</section>"
+
+
+def _lead(provenance: dict[str, Any] | None) -> str:
+    if provenance is None:
+        return ""
+    return f"{provenance.get('command', '')}, on {provenance.get('device', 'an unknown device')}"
+
+
+def _video(path: str | Path | None, problem: str | None) -> str:
+    if path is None:
+        return _note(f"No video. {problem or 'None was rendered.'}")
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        return _note(f"No video: {path}: {error.strerror}.")
+    if Path(path).suffix == ".gif":
+        return _image(data, "a grasp", "image/gif")
+    source = f"data:video/mp4;base64,{base64.b64encode(data).decode()}"
+    return f"<video src='{source}' controls autoplay loop muted playsinline></video>"
+
+
+def _results(paths: Sequence[str | Path]) -> str:
+    if not paths:
+        return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
+    parts = []
+    for condition, columns in read_groups(paths).items():
+        parts.append(condition_table(condition, columns).html())
+        if any(force is not None for c in columns for force in c.forces()):
+            plot = success_against_force(columns)
+            parts.append(_image(plot, "mean success against mean contact force"))
+        detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
+        parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")
+    return "".join(parts)
+
+
+def _curves(path: Path) -> str:
+    try:
+        return _image(training_curves(read_metrics(path)), "training curves")
+    except FileError as error:
+        return _note(f"No curves: {error}.")
+
+
+def _facts(values: dict[str, Any] | None, name: str) -> str:
+    if values is None:
+        return _note(f"The run has no readable {name}.")
+    return f"<pre>{html.escape(json.dumps(values, indent=2))}</pre>"
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    try:
+        values = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return values if isinstance(values, dict) else None
+
+
+def _image(data: bytes, alt: str, kind: str = "image/png") -> str:
+    return f"<img alt='{alt}' src='data:{kind};base64,{base64.b64encode(data).decode()}'>"
+
+
+def _note(text: str) -> str:
+    return f"<p class='note'>{html.escape(text)}</p>"

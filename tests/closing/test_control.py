@@ -1,0 +1,139 @@
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjx_grasp.closing import control
+from mjx_grasp.closing.config import ClosingConfig
+
+CONFIG = ClosingConfig()
+seeds = st.integers(0, 2**31)
+f32 = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
+
+
+@pytest.fixture(scope="module")
+def joints(scene):
+    return control.joint_map(scene)
+
+
+@pytest.fixture(scope="module")
+def posed(scene, starts):
+    """MuJoCo's data in the first start state, the robot moving at random; and our readings."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = starts.qpos[0]
+    at = scene.addresses
+    data.qvel[at.robot_dof] = np.random.default_rng(0).normal(size=len(at.robot_dof)) * 0.3
+    mujoco.mj_forward(scene.model, data)
+    row = starts.readings._replace(
+        **{n: getattr(starts.readings, n)[0] for n in starts.readings._fields}
+    )
+    return data, row._replace(qd=f32(data.qvel[at.robot_dof]))
+
+
+def test_policy_drives_nine_finger_joints_and_six_of_the_arm(scene, joints):
+    order = (*scene.robot.arm.joints, *scene.robot.hand.joints)
+    driven = [order[i] for i in joints.fingers]
+    # Joints 2–4 of the thumb, 6–8 of the index, 10–12 of the middle finger (method §5).
+    assert driven == [f"finger_r_joint{i}" for i in (2, 3, 4, 6, 7, 8, 10, 11, 12)]
+    assert [order[i] for i in joints.arm_policy] == [f"joint{i}" for i in range(1, 7)]
+    for finger, chain in zip(scene.robot.hand.fingers, joints.chains, strict=True):
+        assert [order[i] for i in chain] == [*scene.robot.arm.joints, *finger.joints]
+    np.testing.assert_array_equal(joints.per_finger.ravel(), joints.fingers)
+    for i, k in enumerate(joints.fingers):
+        actuator = scene.model.actuator(order[k])
+        assert joints.stiffness[i] == np.float32(actuator.gainprm[0]) > 0
+        assert joints.limits[k].tolist() == pytest.approx(scene.model.joint(order[k]).range)
+
+
+def test_pad_and_palm_jacobians_agree_with_mujoco(scene, joints, posed):
+    data, readings = posed
+    model, at = scene.model, scene.addresses
+    found = np.asarray(control.pad_jacobians(readings, joints.chains))
+    expected = np.zeros((6, model.nv))
+    for f, site in enumerate(at.pad_sites):
+        mujoco.mj_jacSite(model, data, expected[:3], expected[3:], site)
+        np.testing.assert_allclose(found[f], expected[:, at.robot_dof[joints.chains[f]]], atol=2e-6)
+    mujoco.mj_jacSite(model, data, expected[:3], expected[3:], at.palm_site)
+    palm = control.palm_jacobian(readings, joints.arm)
+    np.testing.assert_allclose(palm, expected[:, at.robot_dof[joints.arm]], atol=2e-6)
+
+
+def test_pad_twists_are_the_pads_velocities(scene, joints, posed):
+    data, readings = posed
+    found = np.asarray(control.pad_twists(readings, joints))
+    velocity = np.zeros(6)
+    for f, site in enumerate(scene.addresses.pad_sites):
+        mujoco.mj_objectVelocity(
+            scene.model, data, mujoco.mjtObj.mjOBJ_SITE, int(site), velocity, 0
+        )
+        np.testing.assert_allclose(found[f], [*velocity[3:], *velocity[:3]], atol=5e-6)
+
+
+@given(seed=seeds)
+def test_guided_rates_minimise_the_weighted_error(seed):
+    rng = np.random.default_rng(seed)
+    jac, field = rng.normal(size=(6, 3)) * 0.1, rng.normal(size=6) * 0.02
+    w = np.array([1, 1, 1, 0.0025, 0.0025, 0.0025])
+    stacked = np.concatenate([np.sqrt(w)[:, None] * jac, np.sqrt(1e-4) * np.eye(3)])
+    expected = np.linalg.lstsq(stacked, np.concatenate([np.sqrt(w) * field, np.zeros(3)]))[0]
+    found = control.guided_rates(f32(jac), f32(field), CONFIG)
+    np.testing.assert_allclose(found, np.clip(expected, -3, 3), atol=2e-3)
+
+
+def test_guided_rates_are_bounded():
+    jac = f32(np.eye(6)[:, :3] * 0.05)
+    rates = control.guided_rates(jac, f32([0.8, -0.8, 0.0, 0, 0, 0]), CONFIG)
+    np.testing.assert_allclose(rates, [3.0, -3.0, 0.0], atol=1e-5)
+
+
+@given(seed=seeds)
+def test_grip_torques_do_the_work_of_the_force(seed):
+    rng = np.random.default_rng(seed)
+    jac, rates = rng.normal(size=(3, 6, 3)), rng.normal(size=(3, 3))
+    inward, force = rng.normal(size=(3, 3)), rng.uniform(0, 5, 3)
+    torque = np.asarray(control.grip_torques(f32(jac), f32(inward), f32(force)))
+    velocity = np.einsum("fij,fj->fi", jac[:, :3], rates)
+    power = force * (inward * velocity).sum(-1)
+    np.testing.assert_allclose((torque * rates).sum(-1), power, rtol=1e-3, atol=1e-3)
+
+
+def test_lift_rates_raise_the_palm_without_turning_it(joints, posed):
+    _, readings = posed
+    jac = control.palm_jacobian(readings, joints.arm_policy)
+    rates = control.lift_rates(jac, jnp.float32(0.15), CONFIG)
+    twist = np.asarray(jac @ rates)
+    np.testing.assert_allclose(twist, [0, 0, 0.15, 0, 0, 0], atol=0.01)
+
+
+@given(action=st.floats(-1, 1), start=st.floats(-0.25, 0.25))
+def test_leaky_residual_follows_its_recursion(action, start):
+    found = control.update_residual(jnp.full(9, start), jnp.full(9, action), CONFIG)
+    expected = np.clip(0.8 * start + 5.0 * 0.01 * action, -0.25, 0.25)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_leaky_residual_is_bounded_and_returns():
+    residual = jnp.zeros(9)
+    for _ in range(300):
+        residual = control.update_residual(residual, jnp.ones(9), CONFIG)
+    np.testing.assert_allclose(residual, 0.25, atol=1e-4)
+    for _ in range(60):
+        residual = control.update_residual(residual, jnp.zeros(9), CONFIG)
+    np.testing.assert_allclose(residual, 0.0, atol=1e-5)
+
+
+def test_published_residual_integrates_the_velocity():
+    config = ClosingConfig(residual="integrated")
+    actions = np.random.default_rng(0).uniform(-1, 1, (50, 9))
+    residual = jnp.zeros(9)
+    for a in actions:
+        residual = control.update_residual(residual, f32(a), config)
+    np.testing.assert_allclose(residual, 0.05 * actions.sum(0), atol=1e-5)
+
+
+def test_landed_fingers_stay():
+    hold, rates = jnp.zeros((3, 3)), jnp.ones((3, 3))
+    moved = control.hold_until_landed(hold, rates, jnp.array([True, False, True]), CONFIG)
+    np.testing.assert_allclose(moved, np.array([[0.0] * 3, [0.01] * 3, [0.0] * 3]), atol=1e-7)

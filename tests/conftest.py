@@ -1,0 +1,81 @@
+"""Shared fixtures, and run-time checks of the shapes that signatures promise."""
+
+import hypothesis
+import pytest
+from jaxtyping import install_import_hook
+
+# Before anything of the package is imported. Modules whose functions are called with arrays of
+# JAX alone; `closing.env` is left out, for its engine is a protocol that cannot be checked.
+CHECKED = (
+    *(
+        f"mjx_grasp.closing.{name}"
+        for name in (
+            "control",
+            "guidance",
+            "observation",
+            "observer",
+            "rewards",
+            "stages",
+            "starts",
+            "success",
+        )
+    ),
+    "mjx_grasp.evaluation.trials",
+    "mjx_grasp.geometry.linear",
+    "mjx_grasp.learning",
+    "mjx_grasp.sim.mjx_engine",
+    "mjx_grasp.sim.native",
+    "mjx_grasp.sim.scene",
+)
+install_import_hook(CHECKED, "beartype.beartype")
+
+hypothesis.settings.register_profile("mjx_grasp", deadline=None, max_examples=50)
+hypothesis.settings.load_profile("mjx_grasp")
+
+SUBSTEPS = 5
+
+
+@pytest.fixture(scope="session")
+def robot():
+    from mjx_grasp.robot.spec import load_robot
+
+    return load_robot()
+
+
+@pytest.fixture(scope="session")
+def handmade_objects():
+    """A box, a ball and a dumbbell: a hull, a sphere, and several pieces off-centre."""
+    import handmade
+
+    return [handmade.box(), handmade.ball(), handmade.dumbbell()]
+
+
+@pytest.fixture(scope="session")
+def scene(handmade_objects, robot):
+    """The union scene of the hand-made objects."""
+    from mjx_grasp.sim.scene import build_scene
+
+    return build_scene(handmade_objects, robot)
+
+
+@pytest.fixture(scope="session")
+def starts(scene, handmade_objects):
+    """Three start states per object: rows 0–2 box, 3–5 ball, 6–8 dumbbell."""
+    import handmade
+
+    from mjx_grasp.closing.starts import build_starts
+
+    return build_starts(scene, handmade.handoffs(handmade_objects), SUBSTEPS)
+
+
+@pytest.fixture(scope="session")
+def native(scene):
+    from mjx_grasp.sim.native import NativePhysics
+
+    return NativePhysics(scene, threads=2)
+
+
+@pytest.fixture(autouse=True)
+def _logs_of_mujoco_stay_out_of_the_repository(tmp_path, monkeypatch):
+    """MuJoCo appends its warnings to a file in the working directory."""
+    monkeypatch.chdir(tmp_path)

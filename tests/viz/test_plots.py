@@ -1,0 +1,84 @@
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.results import ResultRow
+from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.evaluation.tables import Column
+from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+
+BLUE, ORANGE = (37, 99, 168), (200, 100, 30)
+
+
+def pixels(png):
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def of_colour(picture, colour):
+    return np.abs(picture - colour).max(2) < 30
+
+
+def column(label, successes, force, squeeze=None):
+    row = ResultRow(
+        object="apple", controller="c", engine="mujoco", episodes=64, successes=successes,
+        never_lifted=64 - successes, not_held=0, slipped=0, ci95=wilson_interval(successes, 64),
+        force_mean_n=force, force_peak_n=force, squeeze_force_n=squeeze, offset_mm=5.0,
+        angle_deg=0.0, friction=0.8, handoffs="ik",
+    )  # fmt: skip
+    return Column(label, {"apple": row})
+
+
+def test_metrics_keep_their_numbers_and_turn_the_rest_to_nan(tmp_path):
+    path = tmp_path / "metrics.csv"
+    path.write_text("env_steps,return,note\n100,,x\n200,1.5\n300,nan,\n")
+    metrics = read_metrics(path)
+    assert metrics["env_steps"].tolist() == [100, 200, 300]
+    assert np.isnan(metrics["return"][[0, 2]]).all() and metrics["return"][1] == 1.5
+    assert np.isnan(metrics["note"]).all()
+
+
+@pytest.mark.parametrize("text", [None, "", "env_steps,return\n", "a,b\n1,2\n", b"\xff\xfe\x00"])
+def test_metrics_without_rows_are_refused_by_name(tmp_path, text):
+    path = tmp_path / "metrics.csv"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(FileError, match=r"metrics\.csv"):
+        read_metrics(path)
+
+
+def test_a_rising_curve_rises_in_the_picture():
+    steps = np.arange(1.0, 200.0)
+    nothing = np.full(len(steps), np.nan)
+    metrics = {"env_steps": steps, "return": steps, "success": nothing, "force_n": nothing}
+    picture = pixels(training_curves(metrics))
+    rows, columns = np.nonzero(of_colour(picture, BLUE))
+    height, width = picture.shape[:2]
+    assert rows.max() < height / 2 and columns.max() < width / 2  # the only curve with numbers
+    assert np.corrcoef(rows, columns)[0, 1] < -0.99
+
+
+def test_one_row_is_visible():
+    one = {name: np.array([1.0]) for name in ("env_steps", "return", "success", "steps_per_s")}
+    assert of_colour(pixels(training_curves(one)), BLUE).sum() > 50
+
+
+def test_points_lie_by_force_and_success():
+    picture = pixels(
+        success_against_force(
+            [column("policy", 60, 2.0), column("s", 20, 1.0, 3.0), column("s", 62, 4.0, 8.0)]
+        )
+    )
+    policy_rows, policy_columns = np.nonzero(of_colour(picture, BLUE))
+    squeeze_rows, squeeze_columns = np.nonzero(of_colour(picture, ORANGE))
+    assert squeeze_columns.min() < policy_columns.min() < squeeze_columns.max()
+    assert squeeze_rows.max() > policy_rows.max()  # 31 % lies below 94 %
+
+
+def test_controllers_without_a_force_are_left_out():
+    with_one = success_against_force([column("p", 60, 2.0), column("q", 0, None)])
+    assert with_one == success_against_force([column("p", 60, 2.0)])
+    with pytest.raises(InputError, match="force"):
+        success_against_force([column("q", 0, None)])

@@ -1,0 +1,122 @@
+import base64
+import io
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+from PIL import Image
+
+from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.viz.report import write_report
+
+PROVENANCE = {
+    "command": "python -m mjx_grasp.train",
+    "git": "0123abc",
+    "versions": {"jax": "0.10.2"},
+    "device": "a <small> card",
+    "seed": 7,
+}
+VOID = {"meta", "img"}
+
+
+class Page(HTMLParser):
+    """Text, tags and links of a page; fails on tags that do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.links, self.text, self.tags = [], [], "", []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [v for k, v in attrs if k in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def result(successes, force=None):
+    return ResultRow(
+        object="apple", controller="policy" if force is None else "squeeze", engine="mujoco",
+        episodes=64, successes=successes, never_lifted=64 - successes, not_held=0, slipped=0,
+        ci95=wilson_interval(successes, 64), force_mean_n=2.0 + (force or 0), force_peak_n=9.0,
+        squeeze_force_n=force, offset_mm=5.0, angle_deg=0.0, friction=0.8, handoffs="ik",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = tmp_path / "cpu & more"
+    folder.mkdir()
+    (folder / "metrics.csv").write_text(
+        "iteration,env_steps,steps_per_s,return,success,force_n\n"
+        "1,100,50,nan,nan,nan\n2,200,60,1.0,0.2,3.0\n3,300,60,2.0,0.5,3.0\n"
+    )
+    (folder / "config.json").write_text(json.dumps({"preset": "cpu", "ppo": {"worlds": 128}}))
+    (folder / "provenance.json").write_text(json.dumps(PROVENANCE))
+    write_results(folder / "results.json", [result(60), result(40, 3.0)], PROVENANCE)
+    return folder
+
+
+def written(run, video=None, problem=None, results=("results.json",)):
+    out = run / "report.html"
+    write_report(run, [run / name for name in results], video, problem, out)
+    return Page(out.read_text(encoding="utf-8"))
+
+
+def test_the_report_holds_everything_and_needs_nothing_beside_it(run):
+    (run / "grasp.mp4").write_bytes(b"video bytes")
+    page = written(run, video=run / "grasp.mp4")
+    assert all(link.startswith("data:") for link in page.links)
+    video = next(link for link in page.links if link.startswith("data:video/mp4;base64,"))
+    assert base64.b64decode(video.partition(",")[2]) == b"video bytes"
+    pictures = [link for link in page.links if link.startswith("data:image/png")]
+    assert len(pictures) == 2  # curves, and success against force
+    for picture in pictures:
+        image = Image.open(io.BytesIO(base64.b64decode(picture.partition(",")[2])))
+        assert min(image.size) > 300
+    for text in ("93.8 (", "62.5 (", "squeeze 3 N", '"worlds": 128', "a <small> card", "0123abc"):
+        assert text in page.text
+    assert "cpu & more" in page.text
+
+
+def test_a_gif_is_shown_as_a_picture(run):
+    (run / "grasp.gif").write_bytes(b"GIF89a")
+    page = written(run, video=run / "grasp.gif")
+    assert any(link.startswith("data:image/gif") for link in page.links)
+    assert "video" not in page.tags
+
+
+def test_without_a_video_the_report_says_how_to_get_one(run):
+    page = written(run, problem="no renderer <here>: apt-get install libegl1")
+    assert "No video. no renderer <here>: apt-get install libegl1" in page.text
+    assert "video" not in page.tags and "93.8 (" in page.text
+    assert "No video" in written(run, video=run / "lost.mp4").text
+
+
+def test_what_a_run_lacks_is_named_and_the_rest_comes_out(run):
+    for name in ("metrics.csv", "config.json", "provenance.json"):
+        (run / name).unlink()
+    page = written(run)
+    assert re.search(r"No curves: .*metrics\.csv", page.text)
+    assert "no readable config.json" in page.text
+    assert "93.8 (" in page.text and "0123abc" in page.text  # the results' own provenance
+    assert "No evaluation" in written(run, results=()).text
+
+
+def test_damaged_results_are_an_error_and_leave_the_old_report(run):
+    written(run)
+    before = (run / "report.html").read_bytes()
+    (run / "results.json").write_text("{")
+    with pytest.raises(FileError, match=r"results\.json"):
+        written(run)
+    assert (run / "report.html").read_bytes() == before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -165,11 +165,7 @@ def main(config: EvaluateConfig) -> None:
     if config.controller == "policy":
         policy = load_policy(config.policy or asset_path("policy.npz"))
     stored = load_handoffs(config.handoffs or asset_path("handoffs.npz"))
-    scene = build_scene_of(
-        config.objects,
-        config.objects_dir,
-        replace(SceneConfig(), friction=(config.friction, *SceneConfig().friction[1:])),
-    )
+    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")

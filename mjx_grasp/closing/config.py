@@ -31,7 +31,20 @@ class ClosingConfig:
     grip_force: float = 1.0
     """Commanded inward force per finger F [N]: 1 for the policy, 3 for the squeeze baseline."""
     grip_ramp_s: float = 0.5
-    """Time from landing to the full force [s]."""
+    """Time from landing, or from arrival, to the full force [s]."""
+    arrival_distance: float = 0.005
+    """Way left to the contact at which a finger has arrived and grips even without touching [m]:
+    targets that are not on the surface would otherwise never be reached."""
+    grip_together: bool = True
+    """Whether the fingers' forces rise together, once all have landed or arrived."""
+    approach_s: float = 1.0
+    """After this time every finger counts as arrived [s]."""
+    command_angular_weight: float = 0.003
+    """Metres per radian in the fingers' least squares [m/rad]. With the rewards' 0.05 the turn that
+    three joints cannot follow keeps the pads 10–30 mm away from their contacts."""
+    hold_lead: float = 0.1
+    """Most that a guided joint target runs ahead of its joint [rad]: no force is wound up against
+    whatever stops a finger before it lands."""
     finger_damping: float = 1e-4
     """λ of the fingers' damped least squares [m²]."""
     finger_rate_limit: float = 3.0
@@ -48,7 +61,7 @@ class ClosingConfig:
     guidance_turn: float = 4.0
     """k_R: rate of alignment with the surface [1/s]."""
     angular_weight: float = 0.05
-    """Metres per radian in every norm of twists [m/rad]."""
+    """Metres per radian in the rewards' norms of twists [m/rad]."""
 
     lift_speed: float = 0.15
     """Speed of the scripted lift [m/s]."""
@@ -56,6 +69,9 @@ class ClosingConfig:
     """Height at which the scripted lift stops [m]."""
     lift_ramp_s: float = 0.2
     """Time in which the lift's trapezoid reaches its speed [s]."""
+    lift_delay_s: float = 0.5
+    """Time from the change of stage to the first motion of the lift, in which the grip builds up
+    [s]; 0 as published."""
     acquisition_s: float = 1.6
     """After this time two fingers suffice for the lift [s]."""
     acquisition_fingers: int = 2

@@ -85,7 +85,7 @@ def guided_rates(
     jacobian: Float[Array, "*b f 6 j"], field: Float[Array, "*b f 6"], config: ClosingConfig
 ) -> Float[Array, "*b f j"]:
     """Finger joint velocities that follow the field in the weighted least-squares sense [rad/s]."""
-    angular = config.angular_weight**2
+    angular = config.command_angular_weight**2
     weight = jnp.array([1.0, 1.0, 1.0, angular, angular, angular])
     rates = damped_least_squares(jacobian, field, weight, config.finger_damping)
     return jnp.clip(rates, -config.finger_rate_limit, config.finger_rate_limit)
@@ -122,9 +122,11 @@ def update_residual(
 
 def hold_until_landed(
     hold: Float[Array, "*b f j"],
+    q: Float[Array, "*b f j"],
     rates: Float[Array, "*b f j"],
     landed: Bool[Array, "*b f"],
     config: ClosingConfig,
 ) -> Float[Array, "*b f j"]:
     """Guided joint targets [rad]: they follow the field until the finger lands, then stay."""
-    return jnp.where(landed[..., None], hold, hold + rates * config.control_dt)
+    lead = jnp.clip(hold + rates * config.control_dt - q, -config.hold_lead, config.hold_lead)
+    return jnp.where(landed[..., None], hold, q + lead)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control, rewards, stages
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.guidance import guidance_field
+from mjx_grasp.closing.guidance import guidance_field, way_left
 from mjx_grasp.closing.observation import STACKED_STEPS, privileged, proprioception
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
 from mjx_grasp.closing.starts import (
@@ -41,7 +41,7 @@ class Episode(NamedTuple):
     lift_tick: Int[Array, " w"]
     landed: Bool[Array, "w f"]
     grip_ticks: Int[Array, "w f"]
-    """Ticks since landing, or since lift onset for a finger that never landed."""
+    """Ticks since the finger landed or arrived, whichever was first."""
     hold: Float[Array, "w f j"]
     """Guided finger joint targets [rad]."""
     residual: Float[Array, "w m"]
@@ -181,7 +181,9 @@ class ClosingEnv:
         jacobian = control.pad_jacobians(readings, joints.per_finger)
         rates = control.guided_rates(jacobian, self._guidance(episode, readings), config)
         frozen = episode.landed | episode.lifting[:, None]
-        hold = control.hold_until_landed(episode.hold, rates, frozen, config)
+        hold = control.hold_until_landed(
+            episode.hold, readings.q[:, joints.per_finger], rates, frozen, config
+        )
         force = stages.grip_force(episode.grip_ticks, config, config.grip_force)
         inward = -self.starts.normals[episode.row]
         torque = control.grip_torques(jacobian, inward, force).reshape(worlds, fingers)
@@ -252,6 +254,17 @@ class ClosingEnv:
         begins = ~episode.lifting & stages.lift_begins(touching, episode.tick + 1, config)
         lifting = episode.lifting | begins
         landed = episode.landed | touching
+        left = way_left(
+            readings.pad_pos,
+            self.starts.readings.pad_pos[episode.row],
+            self.starts.contacts[episode.row],
+        )
+        late = (episode.tick * config.control_dt >= config.approach_s) | lifting
+        arrived = (left < config.arrival_distance) | late[:, None]
+        there = landed | arrived
+        if config.grip_together:
+            there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
+        gripping = there | (episode.grip_ticks > 0)
         in_palm = _in_palm(readings)
         reference = jnp.where(episode.lifting[:, None], episode.object_in_palm, in_palm)
         displacement = jnp.where(lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
@@ -265,7 +278,7 @@ class ClosingEnv:
             lifting=lifting,
             lift_tick=jnp.where(episode.lifting, episode.lift_tick + 1, 0),
             landed=landed,
-            grip_ticks=jnp.where(landed | lifting[:, None], episode.grip_ticks + 1, 0),
+            grip_ticks=jnp.where(gripping, episode.grip_ticks + 1, 0),
             action=action,
             last_action=before.action,
             stack=jnp.concatenate(

@@ -40,6 +40,16 @@ def guidance_field(
     return jnp.concatenate([linear, config.guidance_turn * so3.log(turn)], axis=-1)
 
 
+def way_left(
+    x: Float[Array, "*b 3"], start: Float[Array, "*b 3"], goal: Float[Array, "*b 3"]
+) -> Float[Array, "*b"]:
+    """ρ: the way left along the line from `start` to `goal` [m], 0 beyond its end."""
+    way = goal - start
+    length = jnp.sqrt(jnp.sum(way**2, -1) + 1e-12)
+    s = jnp.sum((x - start) * way, -1) / length
+    return length - jnp.clip(s, 0.0, length)
+
+
 def goal_frame(
     mat: Float[Array, "*b 3 3"], outward_normal: Float[Array, "*b 3"]
 ) -> Float[Array, "*b 3 3"]:

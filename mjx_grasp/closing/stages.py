@@ -25,7 +25,7 @@ def lift_begins(
 
 def lift_speed(time: Float[Array, "*b"], config: ClosingConfig) -> Float[Array, "*b"]:
     """The trapezoid's speed at a time since lift onset [m/s]; it covers `lift_height` in all."""
-    ramp = config.lift_ramp_s
+    time, ramp = time - config.lift_delay_s, config.lift_ramp_s
     duration = config.lift_height / config.lift_speed + ramp
     share = jnp.minimum(time, duration - time) / max(ramp, 1e-9)
     return config.lift_speed * jnp.clip(share, 0.0, 1.0)
@@ -34,6 +34,6 @@ def lift_speed(time: Float[Array, "*b"], config: ClosingConfig) -> Float[Array, 
 def grip_force(
     ticks_since_landing: Int[Array, "*b"], config: ClosingConfig, force: Float[Array, "*b"] | float
 ) -> Float[Array, "*b"]:
-    """The commanded force of a finger [N]: 0 at landing, `force` after the ramp."""
+    """The commanded force of a finger [N]: 0 when it lands or arrives, `force` after the ramp."""
     time = ticks_since_landing * config.control_dt
     return force * jnp.clip(time / max(config.grip_ramp_s, 1e-9), 0.0, 1.0)

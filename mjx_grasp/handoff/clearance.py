@@ -165,6 +165,16 @@ def distance_and_gradient(
     return jax.vmap(jax.value_and_grad(distance))(points)
 
 
+def sphere_arms(spheres: HandSpheres, mat: Float[Array, "*b f 3 3"]) -> Float[Array, "*b s 3"]:
+    """Centres of the spheres relative to the origins of their frames, world axes, [m].
+
+    Args:
+        spheres: The hand.
+        mat: Rotations of the frames that carry spheres.
+    """
+    return jnp.sum(mat[..., spheres.frame, :, :] * np.float32(spheres.offset)[:, None, :], axis=-1)
+
+
 def outside_clearance(
     grid: DistanceGrid,
     points: Float[Array, "s 3"],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -107,12 +106,14 @@ class HandoffSet:
         if not 0 < eval_share < 1:
             raise InputError("eval_share", eval_share, "a number between 0 and 1")
         held = np.zeros(len(self), dtype=bool)
-        for index in range(len(self.object_names)):
+        for index, name in enumerate(self.object_names):
             rows = np.flatnonzero(self.object_index == index)
             count = round(eval_share * len(rows))
             if len(rows) > 1:
                 count = min(max(count, 1), len(rows) - 1)
-            held[np.random.default_rng([seed, index]).permutation(rows)[:count]] = True
+            # By name: an object is split alike whatever the other objects of the set are.
+            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            held[rng.permutation(rows)[:count]] = True
         return self.take(~held), self.take(held)
 
     def save(self, path: str | Path) -> None:
@@ -181,11 +182,14 @@ def load_handoffs(path: str | Path, objects: Sequence[ObjectModel] | None = None
                 found = f"version {header.get('version')}"
                 raise FileError(path, found, f"version {VERSION}; newer ones need a newer package")
             arrays = {name: file[name] for name in _SCHEMA}
+    except FileError:
+        raise
     except FileNotFoundError:
         raise FileError(path, "no file", f"a {FORMAT}") from None
     except (KeyError, json.JSONDecodeError):
         raise FileError(path, "another kind of file", f"a {FORMAT}") from None
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:
+        # Depending on where it is damaged, reading a zip file raises nearly anything.
         raise FileError(path, f"a damaged or foreign file ({error})", f"a {FORMAT}") from error
     if _checksum(arrays, header) != header.get("checksum"):
         raise FileError(path, "content that does not match its checksum", "an undamaged file")

@@ -19,7 +19,7 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.ik import IkSolution, make_ik, robot_arrays
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
-from mjx_grasp.handoff.starts import build_library, nearest_starts
+from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
 from mjx_grasp.handoff.targets import (
     TargetVariants,
     closest_reach_axis,
@@ -64,6 +64,7 @@ class HandoffGenerator:
         self._robot, self._config = robot, config
         arrays = robot_arrays(robot)
         self._library = build_library(arrays, config.ik.library_size, config.sampling, config.seed)
+        self._rank = make_ranking(arrays, config.ik.clearance)
         self._solve = make_ik(arrays, config.ik)
 
     def generate(
@@ -126,21 +127,27 @@ class HandoffGenerator:
             return []
         report.sampled += len(pairs)
 
-        pose, rank, candidate, rotation, usable = map(np.array, zip(*pairs, strict=True))
+        # Filled up to one size with repetitions, for one compilation.
+        size = sampling.poses_per_round * sampling.candidates_per_pose
+        filled = [pairs[n % len(pairs)] for n in range(size)]
+        pose, rank, candidate, rotation, usable = map(np.array, zip(*filled, strict=True))
         contact = np.einsum("nij,nvkj->nvki", rotation, variants.position[candidate])
         contact = contact + pos[pose][:, None, None]
         normal = np.einsum("nij,nkj->nki", rotation, variants.normal[candidate])
         goal = standoffs(contact, normal[:, None], targets)
         inward = np.broadcast_to(-normal[:, None], goal.shape)
-        variant, entry = nearest_starts(self._library, goal, inward, usable, ik.restarts)
-        rows = np.arange(len(pairs))[:, None]
+        p_wo, R_wo = np.float32(pos[pose]), np.float32(rotation)
+        variant, entry = choose_starts(
+            self._library, self._rank, goal, inward, usable, p_wo, R_wo, grid, ik.restarts
+        )
+        rows = np.arange(size)[:, None]
         solution = self._solve_all(
             grid,
             goal[rows, variant],
             inward[rows, variant],
             self._library.q[entry],
-            np.repeat(pos[pose][:, None], ik.restarts, axis=1),
-            np.repeat(rotation[:, None], ik.restarts, axis=1),
+            np.repeat(p_wo[:, None], ik.restarts, axis=1),
+            np.repeat(R_wo[:, None], ik.restarts, axis=1),
         )
 
         # What the selection would take for u does not depend on heights.
@@ -174,19 +181,11 @@ class HandoffGenerator:
         return accepted
 
     def _solve_all(self, grid: DistanceGrid, *inputs: np.ndarray) -> IkSolution:
-        """Solves all starts of all pairs in batches of one size; arrays are [pairs, starts, …]."""
+        """Solves all starts of all pairs; arrays in and out are [pairs, starts, …]."""
         shape = inputs[0].shape[:2]
         flat = [np.float32(x).reshape(-1, *x.shape[2:]) for x in inputs]
-        batch = self._config.sampling.poses_per_round * self._config.sampling.candidates_per_pose
-        parts = []
-        for first in range(0, len(flat[0]), batch):
-            part = [x[first : first + batch] for x in flat]
-            short = batch - len(part[0])
-            full = [np.concatenate([x, np.repeat(x[:1], short, axis=0)]) for x in part]
-            solved = self._solve(*full, grid)
-            parts.append([np.asarray(leaf)[: batch - short] for leaf in solved])
-        leaves = [np.concatenate(leaf) for leaf in zip(*parts, strict=True)]
-        return IkSolution(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in leaves))
+        solved = map(np.asarray, self._solve(*flat, grid))
+        return IkSolution(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in solved))
 
     def _first_clear(self, solution, axis, variant, usable, collision):
         """The best start that is refused for nothing, or the reason of the one that got farthest.

@@ -18,6 +18,7 @@ from mjx_grasp.handoff.clearance import (
     hand_spheres,
     outside_clearance,
     own_clearance,
+    sphere_arms,
 )
 from mjx_grasp.handoff.config import IkConfig
 from mjx_grasp.robot.kinematics import Kinematics
@@ -132,7 +133,7 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
         targets, inward, p_wo, R_wo, grid = problem
         pos, mat = kin.forward(full(x))
         pads = mat[_FINGERS:_PALM, :, 0]
-        arm = jnp.sum(mat[carrier] * np.float32(spheres.offset)[:, None, :], axis=-1)
+        arm = sphere_arms(spheres, mat[_PALM + 1 :])
         centre = pos[carrier] + arm
         distance, away = outside_clearance(grid, centre, p_wo, R_wo)
         own_distance, own_away = own_clearance(spheres, centre)

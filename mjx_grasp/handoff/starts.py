@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.handoff.clearance import (
+    DistanceGrid,
+    outside_clearance,
+    own_clearance,
+    sphere_arms,
+)
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.ik import RobotArrays
 
 _BATCH = 16_384
+# Of the frames: three tips, three pads and the palm come before the bodies with spheres.
+_FIRST_BODY = 7
+_FEW = 1024
 _MAX_BATCHES = 400
 # What counts as grasp-like: thumb pad against wrap pads, wraps side by side, tips apart as at the
 # standoffs of the hand's span. Wide, for these are starts only.
@@ -25,7 +36,10 @@ _MARGIN_XY = 0.12
 # A difference of pad directions counts as much as tips this far off.
 _DIRECTION_SCALE = 0.05
 _QUERY_TILE = 64
-_PER_VARIANT = 4
+_PER_VARIANT = 16
+# What a sphere of the hand lacks in clearance, once the tips are where they shall be, counts as
+# much as tips this many times as far off.
+_PENETRATION_WEIGHT = 5.0
 
 
 class StartLibrary(NamedTuple):
@@ -85,6 +99,23 @@ def build_library(
     lower, upper = arrays.lower, arrays.upper
     hand = arrays.solved & ~arrays.arm
 
+    @jax.jit
+    @jax.vmap
+    def fingers_apart(pos, mat):
+        centre = pos[arrays.spheres.frame + _FIRST_BODY] + sphere_arms(
+            arrays.spheres, mat[_FIRST_BODY:]
+        )
+        return jnp.all(own_clearance(arrays.spheres, centre)[0] >= arrays.spheres.radius)
+
+    def opposed_and_apart(pos, mat):
+        good = np.array(_grasp_like(pos[:, :3], mat[:, 3:6, :, 0]))
+        # Few are left: the costlier question is asked of them alone, in one size.
+        left = np.flatnonzero(good)[:_FEW]
+        asked = np.resize(left, _FEW) if len(left) else np.zeros(_FEW, int)
+        good[:] = False
+        good[left] = np.asarray(fingers_apart(pos[asked], mat[asked]))[: len(left)]
+        return good
+
     def draw(columns):
         q = np.tile(arrays.nominal, (_BATCH, 1))
         q[:, columns] = rng.uniform(lower[columns], upper[columns], (_BATCH, columns.sum()))
@@ -95,7 +126,7 @@ def build_library(
         for _ in range(_MAX_BATCHES):
             q = sample()
             pos, mat = forward(np.float32(q))
-            good = q[np.asarray(keep(pos[:, :3], mat[:, 3:6, :, 0], pos[:, 6]))]
+            good = q[np.asarray(keep(pos, mat))]
             kept.append(good)
             count += len(good)
             if count >= wanted:
@@ -105,7 +136,7 @@ def build_library(
     postures = collected(
         max(size // 10, 500),
         lambda: draw(hand),
-        lambda tips, pads, palm: _grasp_like(tips, pads),
+        opposed_and_apart,
         "hand postures with thumb and wraps opposed",
     )
 
@@ -114,7 +145,8 @@ def build_library(
         q[:, hand] = postures[rng.integers(len(postures), size=_BATCH)][:, hand]
         return q
 
-    def over_table(tips, pads, palm):
+    def over_table(pos, mat):
+        tips, palm = pos[:, :3], pos[:, 6]
         middle = tips.mean(axis=1)
         (x0, x1), (y0, y1) = sampling.x_range, sampling.y_range
         return (
@@ -153,28 +185,84 @@ def _nearest(features, queries):
     return index, jnp.sum(queries * queries, axis=-1, keepdims=True) - 2.0 * score
 
 
-def nearest_starts(
+def _tip_frame(tips):
+    """A frame on three tips: from the thumb to between the wraps, and along the wraps."""
+    middle = 0.5 * (tips[..., 1, :] + tips[..., 2, :])
+    x = unit(middle - tips[..., 0, :])
+    along = tips[..., 1, :] - tips[..., 2, :]
+    y = unit(along - jnp.sum(along * x, axis=-1, keepdims=True) * x)
+    origin = 0.5 * (tips[..., 0, :] + middle)
+    return origin, jnp.stack([x, y, jnp.cross(x, y)], axis=-1)
+
+
+def make_ranking(arrays: RobotArrays, clearance: float) -> Callable[..., Float[Array, "n k"]]:
+    """Compiles the estimate of how much a hand posture collides around the targets.
+
+    ``rank(q[n, k, joints], goals[n, k, 3, 3], p_wo[n, 3], R_wo[n, 3, 3], grid) -> [n, k]``: the
+    hand is moved as a rigid body until its tips fit the goals best, and the squares of what its
+    spheres lack in clearance from object and table are summed, [m²].
+
+    Args:
+        arrays: The robot.
+        clearance: Wanted between hand and object or table, [m].
+    """
+    spheres = arrays.spheres
+
+    def lacking(q, goals, p_wo, R_wo, grid):
+        pos, mat = arrays.kinematics.forward(q)
+        centre = pos[spheres.frame + _FIRST_BODY] + sphere_arms(spheres, mat[_FIRST_BODY:])
+        origin, frame = _tip_frame(pos[:3])
+        goal_origin, goal_frame = _tip_frame(goals)
+        moved = goal_origin + ((centre - origin) @ frame) @ goal_frame.T
+        distance, _ = outside_clearance(grid, moved, p_wo, R_wo)
+        return jnp.sum(jnp.maximum(spheres.radius + clearance - distance, 0.0) ** 2)
+
+    @jax.jit
+    def rank(q, goals, p_wo, R_wo, grid):
+        with jax.default_matmul_precision("highest"):
+            over_starts = jax.vmap(lacking, in_axes=(0, 0, None, None, None))
+            each = jax.vmap(over_starts, in_axes=(0, 0, 0, 0, None))
+            return each(q, goals, p_wo, R_wo, grid)
+
+    return rank
+
+
+def choose_starts(
     library: StartLibrary,
-    tips: Float[np.ndarray, "n v 3 3"],
+    rank: Callable[..., Float[Array, "n k"]],
+    goals: Float[np.ndarray, "n v 3 3"],
     inward: Float[np.ndarray, "n v 3 3"],
     usable: Bool[np.ndarray, "n v"],
+    p_wo: Float[np.ndarray, "n 3"],
+    R_wo: Float[np.ndarray, "n 3 3"],
+    grid: DistanceGrid,
     count: int,
 ) -> tuple[Int[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
-    """The library's entries nearest to the targets, over all variants of a problem.
+    """The most promising entries of the library for each problem, over all its variants.
+
+    Those whose tips and pads are near the goals, and whose hand would not collide there.
 
     Args:
         library: Configurations.
-        tips: Standoff targets of the variants, world, [m].
+        rank: From :func:`make_ranking`.
+        goals: Standoff targets of the variants, world, [m].
         inward: Inward directions there.
         usable: Which variants may be used.
+        p_wo: Object origins in world, [m].
+        R_wo: Object rotations.
+        grid: The object.
         count: Starts wanted per problem.
 
     Returns:
-        Which variant and which entry, nearest first.
+        Which variant and which entry, the best first.
     """
-    queries = np.asarray(_features(jnp.float32(tips), jnp.float32(inward)))
+    queries = _features(jnp.float32(goals), jnp.float32(inward))
     index, distance = map(np.asarray, _nearest(library.features, queries))
-    distance = np.where(usable[:, :, None], distance, np.inf)
-    order = np.argsort(distance.reshape(len(tips), -1), axis=1, kind="stable")[:, :count]
-    variant = order // index.shape[-1]
-    return variant, np.take_along_axis(index.reshape(len(tips), -1), order, axis=1)
+    per_variant = index.shape[-1]
+    entry = index.reshape(len(goals), -1)
+    options = np.repeat(np.float32(goals), per_variant, axis=1)
+    lacking = rank(library.q[entry], options, np.float32(p_wo), np.float32(R_wo), grid)
+    cost = distance.reshape(entry.shape) + _PENETRATION_WEIGHT**2 * np.asarray(lacking)
+    cost = np.where(np.repeat(usable, per_variant, axis=1), cost, np.inf)
+    order = np.argsort(cost, axis=1, kind="stable")[:, :count]
+    return order // per_variant, np.take_along_axis(entry, order, axis=1)

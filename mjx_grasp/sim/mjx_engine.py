@@ -89,7 +89,7 @@ class MjxPhysics:
     ) -> mjx.Data:
         """See `Physics.reset`."""
 
-        def put(new: Array, old: Array) -> Array:
+        def put(new: Array | float, old: Array) -> Array:
             return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
         return state.replace(

@@ -138,6 +138,9 @@ def build_scene(
     if not names or len(set(names)) != len(names):
         raise InputError("objects", names, "one or more objects of different names")
     model = _compile(objects, robot, config, template=len(objects) > 1)
+    # MuJoCo would take a piece compiled at the body's origin to be there in every world.
+    pieces = model.geom_bodyid == model.body(OBJECT_BODY).id
+    model.geom_sameframe[pieces] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return Scene(
         model=model,
         robot=robot,

@@ -78,14 +78,14 @@ def test_guided_rates_minimise_the_weighted_error(seed):
     w = np.array([1, 1, 1, 0.0025, 0.0025, 0.0025])
     stacked = np.concatenate([np.sqrt(w)[:, None] * jac, np.sqrt(1e-4) * np.eye(3)])
     expected = np.linalg.lstsq(stacked, np.concatenate([np.sqrt(w) * field, np.zeros(3)]))[0]
-    found = control.guided_rates(f32(jac), f32(field), CONFIG)
-    np.testing.assert_allclose(found, np.clip(expected, -3, 3), atol=2e-3)
+    found = control.guided_rates(f32(jac)[None], f32(field)[None], CONFIG)
+    np.testing.assert_allclose(found[0], np.clip(expected, -3, 3), atol=2e-3)
 
 
 def test_guided_rates_are_bounded():
-    jac = f32(np.eye(6)[:, :3] * 0.05)
-    rates = control.guided_rates(jac, f32([0.8, -0.8, 0.0, 0, 0, 0]), CONFIG)
-    np.testing.assert_allclose(rates, [3.0, -3.0, 0.0], atol=1e-5)
+    jac = f32(np.eye(6)[None, :, :3] * 0.05)
+    rates = control.guided_rates(jac, f32([[0.8, -0.8, 0.0, 0, 0, 0]]), CONFIG)
+    np.testing.assert_allclose(rates[0], [3.0, -3.0, 0.0], atol=1e-5)
 
 
 @given(seed=seeds)

@@ -1,9 +1,12 @@
 import mujoco
 import numpy as np
 import pytest
+from handmade import ball, dumbbell
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.viz.trajectory import load_trajectory, record, save_trajectory
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.trajectory import load_trajectory, record, record_world, save_trajectory
 
 XML = """
 <mujoco><worldbody><body name="object"><freejoint/><geom size="0.03"/></body>
@@ -73,3 +76,19 @@ def test_a_damaged_or_foreign_file_is_refused_by_name(model, tmp_path):
 def save_and_name(model, path):
     save_trajectory(path, record(model, poses(model), 0.02))
     return path
+
+
+def test_a_world_of_a_scene_shows_its_own_object_only(tmp_path):
+    scene = build_scene([ball(), dumbbell()], load_robot())
+    trajectory = record_world(scene, "dumbbell", poses(scene.model), 0.02)
+    (tmp_path / "m.mjb").write_bytes(trajectory.model)
+    model = mujoco.MjModel.from_binary_path(str(tmp_path / "m.mjb"))
+    visible = {
+        model.geom(g).name
+        for g in scene.addresses.object_geoms
+        if model.geom_rgba[g, 3] > 0 and model.geom_pos[g, 2] < 1.0
+    }
+    assert visible == {"dumbbell_0", "dumbbell_1", "dumbbell_2"}
+    assert scene.model.geom_rgba[scene.addresses.object_geoms, 3].min() == 1.0  # a copy was changed
+    with pytest.raises(InputError, match="cup"):
+        record_world(scene, "cup", poses(scene.model), 0.02)

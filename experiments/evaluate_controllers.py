@@ -1,0 +1,100 @@
+"""The table of success against force: policy and squeeze from the same states, in one file.
+
+Each condition runs the policy and the squeeze at each force, from the same draws. Native MuJoCo
+is the reference; `--engine mjx` gives the training engine's figures for the comparison of both.
+
+  python experiments/evaluate_controllers.py --objects eight --objects-dir DIR --out FILE.json
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.console import Console
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.cli import run_command
+from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluate import EvaluateConfig, eligible, evaluate, states_of
+from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.tables import success_table
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.provenance import provenance
+from mjx_grasp.sim.scene import SceneConfig
+
+CONDITIONS = {
+    "nominal": dict(offset_mm=5.0, angle_deg=0.0, friction=0.8),
+    "offset10": dict(offset_mm=10.0, angle_deg=0.0, friction=0.8),
+    "friction05": dict(offset_mm=5.0, angle_deg=0.0, friction=0.5),
+}
+
+
+@dataclass(frozen=True)
+class ComparisonConfig:
+    """Which controllers to compare, on what."""
+
+    out: Path
+    objects: tuple[str, ...] = ("eight",)
+    objects_dir: Path | None = None
+    """Folder of real scans; parametric stand-ins without one."""
+    policy: Path | None = None
+    """Policy file; the shipped one by default."""
+    handoffs: Path | None = None
+    """Handoff set; the shipped one by default."""
+    states: Literal["evaluation", "training", "all"] = "evaluation"
+    conditions: tuple[str, ...] = ("nominal",)
+    """Of nominal (offset ±5 mm, friction 0.8), offset10 and friction05."""
+    squeeze_forces: tuple[float, ...] = (1.0, 3.0, 5.0, 8.0)
+    """Commanded forces of the squeeze [N]; 1 is the policy's own command without its residuals."""
+    engine: Engine = "mujoco"
+    episodes: int = 64
+    worlds: int = 256
+    seed: int = 1
+
+    def __post_init__(self):
+        unknown = [c for c in self.conditions if c not in CONDITIONS]
+        if unknown:
+            raise InputError("--conditions", unknown, f"some of {', '.join(CONDITIONS)}")
+
+
+def main(config: ComparisonConfig) -> None:
+    """Runs the comparison."""
+    console = Console(stderr=True)
+    policy = load_policy(config.policy or asset_path("policy.npz"))
+    stored = load_handoffs(config.handoffs or asset_path("handoffs.npz"))
+    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
+    names, without = eligible(scene.object_names, stored)
+    if not names:
+        raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
+    world = build_world(scene, states_of(stored, names, config.states), ClosingConfig())
+    rows: list[ResultRow] = []
+    for name in config.conditions:
+        base = EvaluateConfig(
+            out=config.out,
+            engine=config.engine,
+            episodes=config.episodes,
+            worlds=config.worlds,
+            seed=config.seed,
+            **CONDITIONS[name],
+        )
+        for force in (None, *config.squeeze_forces):
+            if force is None:
+                chosen, controller = base, policy
+            else:
+                chosen = replace(base, controller="squeeze", squeeze_force=force)
+                controller = None
+            new, _ = evaluate(world, names, chosen, controller, stored.kind, console)
+            rows += new
+            # Written as it grows: an interrupted comparison keeps what it has.
+            write_results(config.out, rows, provenance(config.seed), not_eligible=without)
+        Console().print(success_table(rows[-len(names) * (1 + len(config.squeeze_forces)) :]))
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(ComparisonConfig, description=__doc__)))

@@ -1,0 +1,226 @@
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_grasp.errors import FileError, InputError
+
+sys.path.insert(0, str(Path(__file__).parent))
+import tiny_training as tiny
+
+from mjx_grasp.learning.checkpoint import (
+    checkpoint_config,
+    checkpoints,
+    restore_checkpoint,
+    save_checkpoint,
+)
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks
+from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged, train_loop
+
+
+@pytest.fixture(scope="module")
+def env():
+    return tiny.make_env()
+
+
+@pytest.fixture(scope="module")
+def iterate(env):
+    return jax.jit(make_iteration(tiny.ppo(), env))
+
+
+@pytest.fixture(scope="module")
+def trained(env, iterate):
+    """States after 0, 1, 2 and 3 iterations, and the metrics of each."""
+    states, metrics = [init_state(tiny.ppo(), env, seed=0)], []
+    for _ in range(3):
+        state, m = iterate(states[-1])
+        states.append(state)
+        metrics.append(jax.device_get(m))
+    return states, metrics
+
+
+def same(a, b):
+    jax.tree.map(lambda x, y: np.testing.assert_array_equal(np.asarray(x), np.asarray(y)), a, b)
+
+
+def test_second_iteration_does_not_compile_again(trained, iterate):
+    assert iterate._cache_size() == 1
+
+
+def test_iteration_changes_what_it_should_and_counts(trained):
+    states, metrics = trained
+    for before, after in zip(states, states[1:], strict=False):
+        assert int(after.iteration) == int(before.iteration) + 1
+        for a, b in zip(
+            jax.tree.leaves(before.params), jax.tree.leaves(after.params), strict=True
+        ):
+            assert (np.asarray(a) != np.asarray(b)).any()
+        assert (before.key != after.key).any()
+    # The statistics have seen every observation once.
+    assert float(states[3].normalizer.count) == 3 * tiny.ppo().steps_per_iteration
+    # 4 worlds × 12 steps of episodes of 10, staggered: most end once.
+    assert sum(m["episodes"] for m in metrics) >= 2
+    assert all(np.isfinite(m["total_loss"]) and m["broken_worlds"] == 0 for m in metrics)
+    assert set(COLUMNS) - {"iteration", "env_steps", "seconds", "steps_per_s"} <= set(metrics[0])
+
+
+def test_actor_sees_66_numbers_and_the_critic_more(env, trained):
+    params = trained[0][0].params
+    assert params.policy["params"]["MLP_0"]["hidden_0"]["kernel"].shape == (66, 8)
+    critic = jax.tree.leaves(params.value["params"]["hidden_0"]["kernel"])[0]
+    assert critic.shape[0] == env.observation_size["privileged_state"][0] > 66
+    from dataclasses import replace
+
+    paper = replace(tiny.ppo(), privileged_critic=False)
+    blind = make_networks(paper, env).value_network.init(jax.random.PRNGKey(0))
+    assert blind["params"]["hidden_0"]["kernel"].shape[0] == 66
+
+
+def test_checkpoint_restores_every_bit(env, trained, iterate, tmp_path):
+    states, _ = trained
+    path = save_checkpoint(tmp_path, states[1], env, tiny.CONFIG)
+    assert path.name == "iteration_00000001"
+    assert checkpoint_config(path) == tiny.CONFIG
+    back = restore_checkpoint(path, init_state(tiny.ppo(), env, seed=9), env)
+    assert jax.tree.structure(back) == jax.tree.structure(states[1])
+    same(back, states[1])
+    # Going on from it is going on: parameters, optimiser, statistics, worlds, key.
+    same(iterate(back)[0], states[2])
+
+
+def test_only_the_newest_checkpoints_stay(env, trained, tmp_path):
+    for state in trained[0]:
+        save_checkpoint(tmp_path, state, env, tiny.CONFIG, keep=2)
+    assert [p.name for p in checkpoints(tmp_path)] == ["iteration_00000002", "iteration_00000003"]
+    assert checkpoints(tmp_path / "nowhere") == []
+
+
+def test_unfinished_checkpoints_are_not_taken_for_finished_ones(env, trained, tmp_path):
+    left = tmp_path / "iteration_00000002.orbax-checkpoint-tmp"
+    (left / "state").mkdir(parents=True)
+    save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
+    assert [p.name for p in checkpoints(tmp_path)] == ["iteration_00000001"]
+    save_checkpoint(tmp_path, trained[0][2], env, tiny.CONFIG)
+    template = init_state(tiny.ppo(), env, seed=9)
+    same(restore_checkpoint(checkpoints(tmp_path)[-1], template, env), trained[0][2])
+
+
+def damage(path, how):
+    files = [f for f in path.rglob("*") if f.is_file() and "state" in f.parts]
+    data = max((f for f in files if f.parent.name == "d" or "ocdbt" in str(f)),
+               key=lambda f: f.stat().st_size)
+    if how == "missing":
+        data.unlink()
+    elif how == "truncated":
+        data.write_bytes(data.read_bytes()[: data.stat().st_size // 2])
+    elif how == "flipped":
+        content = bytearray(data.read_bytes())
+        for place in range(len(content) // 8, len(content), len(content) // 8):
+            content[place] ^= 0xFF
+        data.write_bytes(bytes(content))
+    else:
+        for f in files:
+            f.unlink()
+
+
+@pytest.mark.parametrize("how", ["missing", "truncated", "flipped", "empty"])
+def test_damaged_checkpoint_is_refused_by_name(env, trained, tmp_path, how):
+    path = save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
+    damage(path, how)
+    with pytest.raises(FileError, match="iteration_00000001"):
+        restore_checkpoint(path, trained[0][0], env)
+
+
+def test_checkpoint_of_another_configuration_is_refused(env, trained, tmp_path):
+    path = save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
+    wider = init_state(tiny.ppo(hidden=(16, 8)), env, seed=0)
+    with pytest.raises(FileError, match="iteration_00000001"):
+        restore_checkpoint(path, wider, env)
+    with pytest.raises(FileError, match="configuration"):
+        checkpoint_config(tmp_path / "iteration_00000009")
+
+
+def test_resumed_training_is_the_unbroken_one(env, trained, tmp_path):
+    """Two iterations, a checkpoint, and the third in a new loop: the parameters of three."""
+    loop = LoopConfig(checkpoint_every=1)
+    state = init_state(tiny.ppo(2), env, seed=0)
+    train_loop(tmp_path, state, env, tiny.ppo(2), loop, tiny.CONFIG)
+    path = checkpoints(tmp_path / "checkpoints")[-1]
+    state = restore_checkpoint(path, init_state(tiny.ppo(3), env, seed=0), env)
+    final = train_loop(tmp_path, state, env, tiny.ppo(3), loop, tiny.CONFIG)
+    same(final, trained[0][3])
+    with (tmp_path / "metrics.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(r["iteration"]) for r in rows] == [1, 2, 3]
+    assert [int(r["env_steps"]) for r in rows] == [16, 32, 48]
+
+
+def test_numbers_that_are_none_stop_the_training(env, tmp_path):
+    """The checkpoint from before stays as it is, and the bad state is kept aside."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    state = init_state(tiny.ppo(1), env, seed=0)
+    state = train_loop(folder, state, env, tiny.ppo(1), LoopConfig(checkpoint_every=1), {})
+    good = jax.tree.map(np.asarray, state)
+    bad = state._replace(
+        params=state.params.replace(
+            policy=jax.tree.map(lambda x: x.at[(0,) * x.ndim].set(jnp.nan), state.params.policy)
+        )
+    )
+    with pytest.raises(TrainingDiverged, match=r"diverged\.npz.*iteration 2"):
+        train_loop(folder, bad, env, tiny.ppo(3), LoopConfig(checkpoint_every=1), {})
+    assert [p.name for p in checkpoints(folder / "checkpoints")] == ["iteration_00000001"]
+    back = restore_checkpoint(
+        checkpoints(folder / "checkpoints")[-1], init_state(tiny.ppo(3), env, seed=0), env
+    )
+    same(back, good)
+    with np.load(folder / "diverged.npz") as stored:
+        assert any(not np.isfinite(stored[n]).all() for n in stored.files)
+
+
+def script(folder, iterations, seconds=0.0):
+    return subprocess.Popen(
+        [sys.executable, str(Path(tiny.__file__)), str(folder), str(iterations), str(seconds)],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def test_killed_training_resumes_to_the_same_parameters(tmp_path):
+    killed = script(tmp_path / "killed", 4, seconds=0.5)
+    deadline = time.monotonic() + 240
+    while not checkpoints(tmp_path / "killed" / "checkpoints"):
+        assert killed.poll() is None and time.monotonic() < deadline, killed.stdout.read()
+        time.sleep(0.05)
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.wait()
+    assert not (tmp_path / "killed" / "parameters.npy").exists()
+    # Both at once: the resumed one and one that nothing disturbed.
+    runs = {name: script(tmp_path / name, 4) for name in ("killed", "unbroken")}
+    output = {name: run.communicate(timeout=300)[0] for name, run in runs.items()}
+    assert '"from": 0' in output["unbroken"]
+    assert '"from": 0' not in output["killed"], "nothing was resumed"
+    assert all(run.returncode == 0 for run in runs.values()), output
+    np.testing.assert_array_equal(
+        *(np.load(tmp_path / name / "parameters.npy") for name in runs)
+    )
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [("worlds", 0), ("unroll", 0), ("worlds", 10), ("discount", 1.5), ("action_std", 0.0)],
+)
+def test_impossible_training_settings_are_refused_by_name(field, value):
+    with pytest.raises(InputError, match=rf"PPOConfig\.{field}"):
+        PPOConfig(**{field: value})

@@ -1,0 +1,280 @@
+"""MJX with Warp against native MuJoCo. Compiled once; the first run ever builds Warp's kernels."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scripted import draw_of
+
+from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.env import ClosingEnv
+from mjx_grasp.errors import InputError
+from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.physics import make_params, policy_dofs
+from mjx_grasp.sim.scene import build_scene
+
+ROWS = jnp.array([0, 4, 8])
+
+
+@pytest.fixture(scope="module")
+def mjx_physics(scene):
+    return MjxPhysics(scene, len(ROWS))
+
+
+@pytest.fixture(scope="module")
+def step(mjx_physics):
+    return jax.jit(mjx_physics.step)
+
+
+@pytest.fixture(scope="module")
+def rest(mjx_physics, starts):
+    return mjx_physics.init(starts.qpos[ROWS], starts.ctrl[ROWS])
+
+
+@pytest.fixture(scope="module")
+def params(starts):
+    return make_params(starts.object_index[ROWS], 0.8)
+
+
+def ramp(scene, starts, tick):
+    """Commands that close the fingers slowly: the box is squeezed from tick 20 on."""
+    ctrl = np.array(starts.ctrl[ROWS])
+    fingers = scene.addresses.robot_ctrl[7:19]
+    ctrl[:, fingers[[3, 7, 11]]] += 0.004 * tick
+    ctrl[:, fingers[[1, 5, 9]]] += np.array([-1, 1, 1]) * 0.005 * tick
+    return jnp.asarray(ctrl)
+
+
+@pytest.fixture(scope="module")
+def runs(scene, starts, native, step, rest, params):
+    """Readings of both engines over 40 ticks, 200 physics steps, and MJX's states."""
+    native_step = jax.jit(native.step)
+    state, other = rest, native.init(starts.qpos[ROWS], starts.ctrl[ROWS])
+    found, expected, states = [], [], []
+    for tick in range(40):
+        ctrl = ramp(scene, starts, tick)
+        state, readings = step(state, params, ctrl)
+        other, reference = native_step(other, params, ctrl)
+        found.append(jax.device_get(readings))
+        expected.append(jax.device_get(reference))
+        states.append(state)
+    return found, expected, states
+
+
+def worst(runs, name, ticks=slice(None)):
+    found, expected, _ = runs
+    return max(
+        np.abs(np.asarray(getattr(a, name), float) - getattr(b, name)).max()
+        for a, b in zip(found[ticks], expected[ticks], strict=True)
+    )
+
+
+def test_follows_native_before_contact_within_rounding(runs):
+    first = next(t for t, r in enumerate(runs[1]) if r.tip_found.any())
+    assert 10 < first < 35
+    before = slice(0, first)
+    assert worst(runs, "q", before) < 1e-5  # rad
+    assert worst(runs, "qd", before) < 1e-3  # rad/s
+    assert worst(runs, "object_pos", before) < 1e-4  # m; the dumbbell lands on the table
+    assert worst(runs, "pad_pos", before) < 1e-5
+    assert worst(runs, "pad_mat", before) < 1e-4
+    assert worst(runs, "palm_pos", before) < 1e-5
+    assert worst(runs, "joint_axis", before) < 1e-4
+    assert worst(runs, "joint_anchor", before) < 1e-5
+    assert worst(runs, "external_torque", before) < 1e-3  # N m
+
+
+def test_follows_native_over_200_steps_with_contact(runs):
+    assert sum(r.tip_found.sum() for r in runs[1]) >= 10
+    assert worst(runs, "q") < 0.02  # rad
+    assert worst(runs, "object_pos") < 1e-3  # m
+    assert worst(runs, "object_quat") < 0.02
+    agree = [
+        (a.tip_found == b.tip_found).mean() for a, b in zip(runs[0], runs[1], strict=True)
+    ]
+    assert np.mean(agree) > 0.95
+    force = [
+        np.sum([np.linalg.norm(r.finger_force, axis=-1) for r in engine], axis=0)
+        for engine in runs[:2]
+    ]
+    np.testing.assert_allclose(force[0], force[1], rtol=0.1, atol=0.5)
+
+
+def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
+    """One physics step per tick, so that MJX's own qfrc_constraint belongs to the reading."""
+    physics = MjxPhysics(scene, len(ROWS), control_dt=0.002)
+    step = jax.jit(physics.step)
+    state, seen = rest, 0.0
+    for tick in range(150):
+        state, readings = step(state, params, ramp(scene, starts, tick / 3))
+        expected = np.asarray(state.qfrc_constraint)[:, policy_dofs(scene)]
+        np.testing.assert_allclose(readings.external_torque[:, 0], expected, atol=3e-3)
+        seen = max(seen, np.abs(expected).max())
+    assert seen > 0.05
+    # A known force on the index tip: its Jᵀ f comes on top.
+    tip = scene.model.body(scene.robot.hand.fingers[1].tip_body).id
+    pushed = state.replace(xfrc_applied=state.xfrc_applied.at[:, tip, 1].set(1.5))
+    _, loaded = step(pushed, params, ramp(scene, starts, 50))
+    _, free = step(state, params, ramp(scene, starts, 50))
+    import mujoco
+
+    data, jac = mujoco.MjData(scene.model), np.zeros((3, scene.model.nv))
+    data.qpos[:] = state.qpos[2]
+    mujoco.mj_forward(scene.model, data)
+    mujoco.mj_jac(scene.model, data, jac, None, data.xipos[tip], tip)
+    expected = (jac.T @ [0, 1.5, 0])[policy_dofs(scene)]
+    difference = np.asarray(loaded.external_torque - free.external_torque)[2, 0]
+    assert np.abs(expected).max() > 0.05
+    # Dry friction, 0.01 N m, may turn from one side to the other.
+    np.testing.assert_allclose(difference, expected, atol=0.021)
+
+
+def test_buffers_hold_and_say_so(runs):
+    assert not any(r.overflow.any() for r in runs[0])
+
+
+@pytest.mark.parametrize(
+    "buffers", [{"constraints_per_world": 8}, {"contacts_per_world": 1}], ids=["rows", "contacts"]
+)
+def test_full_buffers_are_reported(scene, starts, params, buffers):
+    # The squeezed box needs more than one contact and the robot alone more than eight rows.
+    physics = MjxPhysics(scene, len(ROWS), **buffers)
+    state = physics.init(starts.qpos[ROWS], starts.ctrl[ROWS])
+    _, readings = jax.jit(physics.step)(state, params, starts.ctrl[ROWS])
+    assert readings.overflow.any()
+
+
+def test_union_world_follows_the_single_object_scene(scene, starts, robot, runs):
+    """World 0 holds the box among three objects; here it is alone in its scene."""
+    single = build_scene(scene.objects[:1], robot)
+    physics = MjxPhysics(single, 1)
+    step = jax.jit(physics.step)
+    state = physics.init(starts.qpos[:1], starts.ctrl[:1])
+    alone = make_params(jnp.zeros(1, int), 0.8)
+    for tick in range(20):
+        state, readings = step(state, alone, ramp(scene, starts, tick)[:1])
+    union = runs[0][19]
+    np.testing.assert_allclose(readings.q[0], union.q[0], atol=2e-3)
+    np.testing.assert_allclose(readings.object_pos[0], union.object_pos[0], atol=3.3e-4)
+    np.testing.assert_allclose(readings.object_quat[0], union.object_quat[0], atol=2e-3)
+
+
+def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, native):
+    """Three boxes slide: v = v0 − μ g t whatever the mass; and each as in the native engine."""
+    rows = jnp.array([0, 0, 0])
+    params = make_params(jnp.zeros(3, int), jnp.array([0.1, 0.3, 0.3]), jnp.array([1.0, 1, 3]))
+    dof = scene.addresses.object_dof[0]
+    state = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
+    state = state.replace(qvel=state.qvel.at[:, dof].set(0.4))
+    other = native.init(starts.qpos[rows], starts.ctrl[rows])
+    other = other._replace(qvel=other.qvel.at[:, dof].set(0.4))
+    for _ in range(6):
+        state, readings = step(state, params, starts.ctrl[rows])
+        other, reference = native.step(other, params, starts.ctrl[rows])
+    expected = 0.4 - np.array([0.1, 0.3, 0.3]) * 9.81 * 0.06
+    np.testing.assert_allclose(readings.object_vel[:, 0], expected, atol=0.02)
+    np.testing.assert_allclose(readings.object_vel[:, 0], reference.object_vel[:, 0], atol=0.01)
+    # The same upward force lifts the light box and not the heavy one.
+    weight = scene.objects[0].mass * 9.81
+    lifted = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
+    body = scene.addresses.object_body
+    force = lifted.xfrc_applied.at[:, body, 2].set(2 * weight)
+    lifted, readings = step(lifted.replace(xfrc_applied=force), params, starts.ctrl[rows])
+    np.testing.assert_allclose(readings.object_vel[:2, 2], 9.81 * 0.01, rtol=0.1)
+    assert abs(readings.object_vel[2, 2]) < 0.01
+
+
+def test_world_fields_are_those_of_a_model_compiled_so(mjx_physics, robot, scene):
+    import handmade
+
+    heavy = build_scene([handmade.box(mass=0.45)], robot).model
+    params = make_params(jnp.array([0, 0, 1]), jnp.array([0.8, 0.4, 0.8]), jnp.array([1.0, 3, 2]))
+    fields = mjx_physics.world_fields(params)
+    for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0"):
+        np.testing.assert_allclose(
+            fields[name][1], getattr(heavy, name), rtol=1e-4, atol=1e-9, err_msg=name
+        )
+    friction = np.asarray(fields["geom_friction"])
+    objects = scene.addresses.object_geoms
+    np.testing.assert_allclose(friction[1, objects, 0], 0.4)
+    others = np.setdiff1d(np.arange(scene.model.ngeom), objects)
+    np.testing.assert_allclose(friction[:, others], np.broadcast_to(
+        scene.model.geom_friction[others], (3, len(others), 3)))
+    np.testing.assert_allclose(friction[..., 1:], np.broadcast_to(
+        scene.model.geom_friction[:, 1:], (3, scene.model.ngeom, 2)), rtol=1e-6)
+
+
+def test_reset_restarts_bit_for_bit_and_spares_the_others(
+    scene, starts, mjx_physics, step, rest, params, runs
+):
+    used = runs[2][30]
+    mask = jnp.array([True, False, True])
+    reset = mjx_physics.reset(used, mask, starts.qpos[ROWS], starts.ctrl[ROWS])
+    ctrl = ramp(scene, starts, 31)
+    after, readings = step(reset, params, ctrl)
+    fresh, expected = step(rest, params, ctrl)
+    untouched, untouched_readings = step(used, params, ctrl)
+    for w, like, seen in ((0, fresh, expected), (2, fresh, expected),
+                          (1, untouched, untouched_readings)):
+        np.testing.assert_array_equal(after.qpos[w], like.qpos[w])
+        np.testing.assert_array_equal(after.qvel[w], like.qvel[w])
+        np.testing.assert_array_equal(readings.tip_force[w], seen.tip_force[w])
+
+
+def test_packed_state_goes_on(scene, starts, mjx_physics, step, params, runs):
+    state = runs[2][25]
+    stored = {k: np.asarray(v) for k, v in mjx_physics.pack(state).items()}
+    again = mjx_physics.unpack({k: jnp.asarray(v) for k, v in stored.items()})
+    ctrl = ramp(scene, starts, 26)
+    for _ in range(2):
+        state, expected = step(state, params, ctrl)
+        again, found = step(again, params, ctrl)
+    for name in ("q", "qd", "object_pos", "tip_force", "external_torque"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
+    env = BraxClosingEnv(
+        ClosingEnv(mjx_physics, starts, ClosingConfig(), StartNoise(offset_m=0.0)),
+        len(ROWS),
+        stagger=False,
+    )
+    env_step = jax.jit(env.step)
+    state = jax.jit(env.reset)(jax.random.PRNGKey(0))
+    action = jnp.zeros((len(ROWS), 15))
+    for _ in range(3):
+        state = env_step(state, action)
+    inner = state.pipeline_state
+    bad_qpos = inner.physics.qpos.at[1, 9].set(jnp.nan)
+    broken = state.replace(
+        pipeline_state=inner._replace(physics=inner.physics.replace(qpos=bad_qpos))
+    )
+    after = env_step(broken, action)
+    clean = env_step(state, action)
+    np.testing.assert_array_equal(after.info["broken"], [0, 1, 0])
+    np.testing.assert_array_equal(after.done, [0, 1, 0])
+    np.testing.assert_array_equal(after.info["truncation"], [0, 0, 0])
+    np.testing.assert_array_equal(after.info["incident"]["qpos"], bad_qpos[1])
+    assert after.info["incident"]["row"] == inner.episode.row[1]
+    for w in (0, 2):
+        np.testing.assert_array_equal(after.obs["state"][w], clean.obs["state"][w])
+    for _ in range(3):
+        leaves = (after.obs, after.reward, after.pipeline_state.episode,
+                  after.pipeline_state.readings)
+        assert all(np.isfinite(x).all() for x in jax.tree.leaves(leaves))
+        after = env_step(after, action)
+        assert not after.info["broken"].any()
+    # It goes on as a world that never broke: same row, same object, same moments.
+    fresh, _ = env.env.start(draw_of(after.pipeline_state.episode.row))
+    assert after.pipeline_state.episode.tick[1] == 3
+    for _ in range(3):
+        fresh, _ = env.env.tick(fresh, action)
+    np.testing.assert_allclose(
+        after.pipeline_state.readings.q[1], fresh.readings.q[1], atol=1e-5
+    )
+
+
+def test_no_worlds_are_refused(scene):
+    with pytest.raises(InputError, match="num_worlds"):
+        MjxPhysics(scene, 0)

@@ -1,0 +1,128 @@
+import importlib.util
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.results import ResultRow, ThroughputRow, write_results
+from mjx_grasp.evaluation.statistics import wilson_interval
+
+ROOT = Path(__file__).resolve().parent.parent
+PROVENANCE = {
+    "command": "python -m mjx_grasp.evaluate --out a.json",
+    "git": "0123456789abcdef-dirty",
+    "versions": {"jax": "0.10.2"},
+    "device": "a card",
+    "seed": 7,
+}
+
+
+GENERATED = re.compile(r"<!-- generated:(\w+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
+
+
+def load_generator():
+    path = ROOT / "experiments" / "make_readme.py"
+    spec = importlib.util.spec_from_file_location("make_readme", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_readme"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+make_readme = load_generator()
+
+
+def result(name, successes, offset_mm):
+    return ResultRow(
+        object=name, controller="policy", engine="mujoco", episodes=64, successes=successes,
+        never_lifted=64 - successes, not_held=0, slipped=0, ci95=wilson_interval(successes, 64),
+        force_mean_n=4.25, force_peak_n=9.0, squeeze_force_n=None, offset_mm=offset_mm,
+        angle_deg=0.0, friction=0.8, handoffs="ik",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def root(tmp_path):
+    results = tmp_path / "experiments" / "results"
+    results.mkdir(parents=True)
+    shutil.copy(ROOT / "README.md", tmp_path)
+    shutil.copy(ROOT / "experiments" / "README.md", tmp_path / "experiments")
+    write_results(results / "five.json", [result("apple", 61, 5.0)], PROVENANCE)
+    write_results(results / "ten.json", [result("apple", 57, 10.0)], PROVENANCE)
+    speed = ThroughputRow("ppo", "mjx", 1024, 24, 123_456.0, 7.5)
+    write_results(results / "throughput_card.json", [speed], PROVENANCE)
+    (results / "other.json").write_text(json.dumps({"schema": "else/1", "provenance": PROVENANCE}))
+    return tmp_path
+
+
+def run(root, check=False):
+    make_readme.main(make_readme.ReadmeConfig(check=check, root=root))
+
+
+def test_the_readmes_of_this_repository_are_up_to_date():
+    run(ROOT, check=True)
+
+
+def test_the_readmes_show_what_the_files_hold(root):
+    run(root)
+    main = (root / "README.md").read_text()
+    for text in ("95.3 (", "89.1 (", "4.2 / 9.0", "123,456", "7.5"):
+        assert text in main
+    detail = (root / "experiments" / "README.md").read_text()
+    for text in ("results/five.json", "results/other.json", "0123456789ab-dirty", "a card"):
+        assert text in detail
+    assert f"`{PROVENANCE['command']}`" in detail
+
+
+def test_stale_sections_fail_the_check_and_stay(root):
+    with pytest.raises(InputError, match=r"README\.md.*make readme"):
+        run(root, check=True)
+    run(root)
+    run(root, check=True)
+    before = (root / "README.md").read_text()
+    path = root / "experiments" / "results" / "five.json"
+    write_results(path, [result("apple", 60, 5.0)], PROVENANCE)
+    with pytest.raises(InputError):
+        run(root, check=True)
+    assert (root / "README.md").read_text() == before
+    run(root)
+    assert "93.8 (" in (root / "README.md").read_text()
+
+
+def test_what_is_written_by_hand_survives(root):
+    before = {p: GENERATED.sub("", p.read_text()) for p in root.rglob("README.md")}
+    run(root)
+    run(root)
+    assert len(before) == 2
+    assert {p: GENERATED.sub("", p.read_text()) for p in before} == before
+
+
+def test_a_readme_without_its_markers_is_refused(root):
+    path = root / "README.md"
+    path.write_text(path.read_text().replace("<!-- /generated:results -->", ""))
+    with pytest.raises(FileError, match=r"README\.md.*results"):
+        run(root)
+
+
+def test_no_number_of_a_result_is_written_by_hand():
+    for path in (ROOT / "README.md", ROOT / "experiments" / "README.md"):
+        text = GENERATED.sub("", path.read_text())
+        assert not re.search(r"\d\s*(%|N\b|steps/s|GiB|episodes)", text)
+
+
+def test_the_readmes_links_and_commands_exist():
+    text = (ROOT / "README.md").read_text()
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        if not link.startswith("http") and not link.endswith(".gif"):
+            assert (ROOT / link).exists(), link
+    for module in re.findall(r"python -m (mjx_grasp[\w.]*)", text):
+        assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+    makefile = (ROOT / "Makefile").read_text()
+    targets = re.findall(r"(?:^|`)make ([a-z-]+)", text, re.M)
+    assert {"train", "test", "setup"} <= set(targets)
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.M), target

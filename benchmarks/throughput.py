@@ -21,7 +21,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,7 @@ class BenchmarkConfig:
     ticks: int = 64
     """Control ticks of a timed run of warp, mjx and task."""
     seed: int = 0
+    scene: SceneConfig = field(default_factory=SceneConfig)
 
 
 def median_seconds(run: Callable[[], Any], repeats: int) -> float:
@@ -121,7 +122,7 @@ def plain_warp(physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats
 def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]:
     """All timings of one setting."""
     task = ClosingConfig()
-    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
+    scene = build_scene_of(config.objects, config.objects_dir, config.scene)
     world = build_world(scene, load_handoffs(config.handoffs), task)
     settings = PPOConfig(worlds=worlds, unroll=unroll)
     env = BraxClosingEnv(world.env("mjx", worlds, task), worlds)
@@ -201,6 +202,10 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
         "peak_bytes": memory.get("peak_bytes_in_use"),
         "mean_constraints": float(jnp.mean(inner.readings.constraints)),
         "max_constraints": int(jnp.max(inner.readings.constraints)),
+        "solver_iterations": [
+            config.scene.solver_iterations,
+            config.scene.line_search_iterations,
+        ],
         "overflows": float(metrics["overflows"]),
         "steps_per_iteration": steps,
     }

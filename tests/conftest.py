@@ -22,7 +22,7 @@ CHECKED = (
     ),
     "mjx_grasp.evaluation.trials",
     "mjx_grasp.geometry.linear",
-    "mjx_grasp.learning",
+    "mjx_grasp.learning.policy",
     "mjx_grasp.sim.mjx_engine",
     "mjx_grasp.sim.native",
     "mjx_grasp.sim.scene",

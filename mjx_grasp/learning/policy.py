@@ -20,7 +20,7 @@ from mjx_grasp.errors import FileError, InputError
 _FORMAT = "mjx_grasp.policy/1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Policy:
     """A deterministic policy: the mean of the trained distribution, clipped to ±1."""
 

@@ -25,15 +25,18 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import tyro
 import yaml
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import run_command
 from mjx_grasp.robot.spec import RobotSpec
 
 HAND_BIT = 1
@@ -292,13 +295,22 @@ def robot_mjspec(spec: RobotSpec) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(spec.mjcf))
 
 
-def main() -> None:
+@dataclass(frozen=True)
+class RebuildConfig:
     """Rewrites the shipped MJCF from the shipped facts."""
-    path: Path = asset_path("robot", f"{_NAME}_facts.yaml").with_name(f"{_NAME}.xml")
+
+    out: Path | None = None
+    """Where to write; over the shipped file by default."""
+
+
+def main(config: RebuildConfig) -> None:
+    """The command."""
+    shipped = asset_path("robot", f"{_NAME}_facts.yaml").with_name(f"{_NAME}.xml")
+    path = config.out or shipped
     with replacing(path) as temporary:
         temporary.write_text(build_mjcf(shipped_facts()))
     print(f"wrote {path}")
 
 
 if __name__ == "__main__":
-    main()
+    run_command(lambda: main(tyro.cli(RebuildConfig)))

@@ -7,13 +7,14 @@ checks one and prints what it understood.
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import tyro
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.robot.reading import Section
 
@@ -279,14 +280,21 @@ def _check_posture(
             raise InputError(f"{field} ({name})", angle, f"within [{low:.6g}, {high:.6g}]")
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Checks a description (the shipped one without argument) and prints what it says."""
-    given = sys.argv[1:] if arguments is None else arguments
-    spec = load_robot(*given[:1])
+@dataclass(frozen=True)
+class CheckConfig:
+    """Checks a robot description and prints what it says."""
+
+    description: tyro.conf.Positional[str] = "rizon4_hx5d20"
+    """Name of a shipped description, or a description file."""
+
+
+def main(config: CheckConfig) -> None:
+    """The command."""
+    spec = load_robot(config.description)
     hand = spec.hand
     print(f"{spec.name}: {spec.arm.name}, {len(spec.arm.joints)} joints, with {hand.name},")
     print(f"{len(hand.joints)} joints, of which the policy drives {', '.join(hand.policy_joints)}")
 
 
 if __name__ == "__main__":
-    main()
+    run_command(lambda: main(tyro.cli(CheckConfig)))

@@ -132,9 +132,7 @@ def test_scripted_lift_commands_the_palm_up_by_its_height(scene, starts):
     moved = states.episode.arm[-1, 0] - states.episode.arm[0, 0]
     from mjx_grasp.closing import control
 
-    jac = control.palm_jacobian(
-        jax.tree.map(lambda x: x[0], env.starts.readings), env.joints.arm
-    )
+    jac = control.palm_jacobian(jax.tree.map(lambda x: x[0], env.starts.readings), env.joints.arm)
     rise = np.asarray(jac @ moved)
     np.testing.assert_allclose(rise[2], 0.15, rtol=0.05)
     np.testing.assert_allclose(rise[[0, 1]], 0.0, atol=0.01)
@@ -237,7 +235,11 @@ def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
     r = jax.tree.map(lambda x: x[0], starts.readings)
     field = np.asarray(
         guidance_field(
-            r.pad_pos, r.pad_mat, r.pad_pos, starts.contacts[0], starts.goal_mat[0],
+            r.pad_pos,
+            r.pad_mat,
+            r.pad_pos,
+            starts.contacts[0],
+            starts.goal_mat[0],
             ClosingConfig(),
         )
     )
@@ -268,10 +270,8 @@ def test_reset_touches_the_masked_worlds_only(scene, starts, native):
     after, obs = jax.jit(env.reset)(before, mask, draw)
     fresh, fresh_obs = jax.jit(env.start)(draw)
     for w in range(4):
-        expected = (fresh if mask[w] else before)
-        jax.tree.map(
-            lambda a, b, w=w: np.testing.assert_array_equal(a[w], b[w]), after, expected
-        )
+        expected = fresh if mask[w] else before
+        jax.tree.map(lambda a, b, w=w: np.testing.assert_array_equal(a[w], b[w]), after, expected)
     for name in obs:
         np.testing.assert_array_equal(obs[name][1], fresh_obs[name][1])
 
@@ -321,9 +321,7 @@ def test_turning_the_scene_about_the_vertical_changes_nothing(starts, native):
     states, out = play(env, [0, 1, 2], 60)
     for w in (1, 2):
         np.testing.assert_allclose(out.reward[:, w], out.reward[:, 0], atol=5e-3)
-        np.testing.assert_allclose(
-            out.obs["state"][:, w], out.obs["state"][:, 0], atol=2e-3
-        )
+        np.testing.assert_allclose(out.obs["state"][:, w], out.obs["state"][:, 0], atol=2e-3)
         np.testing.assert_array_equal(states.episode.lifting[:, w], states.episode.lifting[:, 0])
 
 

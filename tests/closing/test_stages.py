@@ -19,9 +19,7 @@ def test_lift_begins_with_three_fingers_or_late_with_two(fingers, tick, late):
     assert bool(stages.lift_begins(touching, jnp.int32(tick), CONFIG)) == expected
 
 
-@given(
-    height=st.floats(0.05, 0.3), speed=st.floats(0.05, 0.3), share=st.floats(0.05, 1.0)
-)
+@given(height=st.floats(0.05, 0.3), speed=st.floats(0.05, 0.3), share=st.floats(0.05, 1.0))
 def test_trapezoid_covers_the_height(height, speed, share):
     config = ClosingConfig(
         lift_height=height, lift_speed=speed, lift_ramp_s=share * height / speed * 0.999

@@ -94,7 +94,9 @@ def test_limits_are_respected_and_the_other_joints_stay(arrays, solution):
     assert np.allclose(q[:, still], arrays.nominal[still])
     # The flag says what the numbers say.
     slack = np.minimum(q - arrays.lower, arrays.upper - q)[:, arrays.solved].min(axis=1)
-    assert np.array_equal(np.asarray(solution.at_limit), slack < 1e-6)
+    flagged = np.asarray(solution.at_limit)
+    assert np.all(slack[flagged] < 1e-6) and np.all(slack[~flagged] > 0)
+    assert 0 < flagged.mean() < 1
 
 
 def test_residuals_are_those_of_native_mujoco(arrays, reachable, solution):

@@ -29,9 +29,7 @@ CONFIG = {"made": "by hand"}
 
 
 def ppo(iterations=2, **changes):
-    values = dict(
-        worlds=4, unroll=4, iterations=iterations, epochs=2, minibatches=2, hidden=(8, 8)
-    )
+    values = dict(worlds=4, unroll=4, iterations=iterations, epochs=2, minibatches=2, hidden=(8, 8))
     return PPOConfig(**(values | changes))
 
 
@@ -74,9 +72,7 @@ def main(folder, iterations, seconds):
     if done:
         state = restore_checkpoint(done[-1], state, env)
     print(json.dumps({"from": int(state.iteration)}), flush=True)
-    state = train_loop(
-        folder, state, env, ppo(iterations), LoopConfig(checkpoint_every=1), CONFIG
-    )
+    state = train_loop(folder, state, env, ppo(iterations), LoopConfig(checkpoint_every=1), CONFIG)
     np.save(folder / "parameters.npy", parameters(state))
 
 

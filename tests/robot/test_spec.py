@@ -7,7 +7,7 @@ import yaml
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.robot.spec import load_robot, main
+from mjx_grasp.robot.spec import CheckConfig, load_robot, main
 
 
 @pytest.fixture(scope="module")
@@ -127,5 +127,5 @@ def test_files_that_cannot_be_read_are_refused(write, shipped, tmp_path):
 
 
 def test_the_command_reports_what_it_read(write, shipped, capsys):
-    main([str(write(shipped))])
+    main(CheckConfig(str(write(shipped))))
     assert "20 joints" in capsys.readouterr().out

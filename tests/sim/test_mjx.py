@@ -90,9 +90,7 @@ def test_follows_native_over_200_steps_with_contact(runs):
     assert worst(runs, "q") < 0.02  # rad
     assert worst(runs, "object_pos") < 1e-3  # m
     assert worst(runs, "object_quat") < 0.02
-    agree = [
-        (a.tip_found == b.tip_found).mean() for a, b in zip(runs[0], runs[1], strict=True)
-    ]
+    agree = [(a.tip_found == b.tip_found).mean() for a, b in zip(runs[0], runs[1], strict=True)]
     assert np.mean(agree) > 0.95
     force = [
         np.sum([np.linalg.norm(r.finger_force, axis=-1) for r in engine], axis=0)
@@ -199,10 +197,14 @@ def test_world_fields_are_those_of_a_model_compiled_so(mjx_physics, robot, scene
     objects = scene.addresses.object_geoms
     np.testing.assert_allclose(friction[1, objects, 0], 0.4)
     others = np.setdiff1d(np.arange(scene.model.ngeom), objects)
-    np.testing.assert_allclose(friction[:, others], np.broadcast_to(
-        scene.model.geom_friction[others], (3, len(others), 3)))
-    np.testing.assert_allclose(friction[..., 1:], np.broadcast_to(
-        scene.model.geom_friction[:, 1:], (3, scene.model.ngeom, 2)), rtol=1e-6)
+    np.testing.assert_allclose(
+        friction[:, others], np.broadcast_to(scene.model.geom_friction[others], (3, len(others), 3))
+    )
+    np.testing.assert_allclose(
+        friction[..., 1:],
+        np.broadcast_to(scene.model.geom_friction[:, 1:], (3, scene.model.ngeom, 2)),
+        rtol=1e-6,
+    )
 
 
 def test_reset_restarts_bit_for_bit_and_spares_the_others(
@@ -215,8 +217,11 @@ def test_reset_restarts_bit_for_bit_and_spares_the_others(
     after, readings = step(reset, params, ctrl)
     fresh, expected = step(rest, params, ctrl)
     untouched, untouched_readings = step(used, params, ctrl)
-    for w, like, seen in ((0, fresh, expected), (2, fresh, expected),
-                          (1, untouched, untouched_readings)):
+    for w, like, seen in (
+        (0, fresh, expected),
+        (2, fresh, expected),
+        (1, untouched, untouched_readings),
+    ):
         np.testing.assert_array_equal(after.qpos[w], like.qpos[w])
         np.testing.assert_array_equal(after.qvel[w], like.qvel[w])
         np.testing.assert_array_equal(readings.tip_force[w], seen.tip_force[w])
@@ -260,8 +265,12 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
     for w in (0, 2):
         np.testing.assert_array_equal(after.obs["state"][w], clean.obs["state"][w])
     for _ in range(3):
-        leaves = (after.obs, after.reward, after.pipeline_state.episode,
-                  after.pipeline_state.readings)
+        leaves = (
+            after.obs,
+            after.reward,
+            after.pipeline_state.episode,
+            after.pipeline_state.readings,
+        )
         assert all(np.isfinite(x).all() for x in jax.tree.leaves(leaves))
         after = env_step(after, action)
         assert not after.info["broken"].any()
@@ -270,9 +279,7 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
     assert after.pipeline_state.episode.tick[1] == 3
     for _ in range(3):
         fresh, _ = env.env.tick(fresh, action)
-    np.testing.assert_allclose(
-        after.pipeline_state.readings.q[1], fresh.readings.q[1], atol=1e-5
-    )
+    np.testing.assert_allclose(after.pipeline_state.readings.q[1], fresh.readings.q[1], atol=1e-5)
 
 
 def test_no_worlds_are_refused(scene):

@@ -83,9 +83,7 @@ def test_worlds_follow_plain_mujoco(scene, starts, native, robot, handmade_objec
 
 def test_number_of_threads_changes_nothing(scene, starts):
     ctrl = closing_ctrl(scene, starts, ROWS)
-    outcomes = [
-        advance(NativePhysics(scene, threads=n), starts, ROWS, ctrl, 12) for n in (1, 3)
-    ]
+    outcomes = [advance(NativePhysics(scene, threads=n), starts, ROWS, ctrl, 12) for n in (1, 3)]
     jax.tree.map(np.testing.assert_array_equal, *outcomes)
 
 
@@ -175,9 +173,7 @@ def test_world_that_is_no_number_is_not_passed_off_as_a_sound_one(starts, native
     for w in (0, 2):
         np.testing.assert_array_equal(after.qpos[w], sound.qpos[w])
     # And the worker that met it is sound again.
-    np.testing.assert_array_equal(
-        native.step(state, params, starts.ctrl[ROWS])[1].q, expected.q
-    )
+    np.testing.assert_array_equal(native.step(state, params, starts.ctrl[ROWS])[1].q, expected.q)
 
 
 def test_policy_rows_are_rows_of_the_full_mass_matrix(scene, starts):

@@ -1,0 +1,97 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.env import ClosingEnv
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.trials import (
+    paired_draws,
+    record_trials,
+    run_trials,
+    zero_controller,
+)
+
+NOISE = StartNoise(offset_m=0.004, friction=(0.6, 0.9))
+SHORT = ClosingConfig(episode_s=0.2)
+
+
+@pytest.fixture(scope="module")
+def env(starts, native):
+    return ClosingEnv(native, starts, SHORT, NOISE, with_privileged=False)
+
+
+def test_controllers_of_one_seed_start_alike(starts):
+    draws = [paired_draws(starts, 1, 20, NOISE, seed=5) for _ in range(2)]
+    jax.tree.map(np.testing.assert_array_equal, *draws)
+    other = paired_draws(starts, 1, 20, NOISE, seed=6)
+    assert (np.asarray(draws[0].offset) != np.asarray(other.offset)).any()
+
+
+@pytest.mark.parametrize("episodes", [1, 2, 3, 7, 12])
+@pytest.mark.parametrize("k", range(3))
+def test_every_handoff_is_used_once_before_any_twice(starts, episodes, k):
+    rows = np.asarray(paired_draws(starts, k, episodes, NOISE, seed=0).row)
+    assert set(rows) <= set(range(3 * k, 3 * k + 3)) and len(rows) == episodes
+    counts = np.bincount(rows, minlength=9)[3 * k : 3 * k + 3]
+    assert counts.max() - counts.min() <= 1
+
+
+def test_order_of_handoffs_depends_on_the_seed(starts):
+    orders = {tuple(np.asarray(paired_draws(starts, 0, 3, NOISE, s).row)) for s in range(20)}
+    assert len(orders) > 3
+
+
+def test_object_without_starts_is_refused(starts):
+    with pytest.raises(InputError, match="start states"):
+        paired_draws(starts, 3, 4, NOISE, seed=0)
+
+
+def test_padding_of_the_last_batch_changes_nothing(env, starts):
+    draw = paired_draws(starts, 0, 5, NOISE, seed=1)
+    controller = zero_controller(env)
+    together, padded = (run_trials(env, controller, draw, w) for w in (5, 3))
+    np.testing.assert_array_equal(together.row, draw.row)
+    for name, a, b in zip(together._fields, together, padded, strict=True):
+        assert a.shape == b.shape == (5,)
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def test_controller_decides_the_actions_from_the_observations(env, starts):
+    draw = paired_draws(starts, 0, 2, NOISE, seed=1)
+
+    def push(obs):
+        return jnp.broadcast_to(jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15))
+
+    still, pushed = (run_trials(env, c, draw, 2) for c in (zero_controller(env), push))
+    np.testing.assert_array_equal(still.row, pushed.row)
+    assert (np.abs(still.reward - pushed.reward) > 1e-3).all()
+
+
+def test_recorded_trials_are_the_same_trials(env, starts):
+    draw = paired_draws(starts, 0, 2, NOISE, seed=2)
+    trials, qpos = record_trials(env, zero_controller(env), draw)
+    expected = run_trials(env, zero_controller(env), draw, 2)
+    for name, a, b in zip(trials._fields, trials, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
+    assert qpos.shape == (20, 2, env.physics.scene.model.nq)
+    at = env.physics.scene.addresses.object_qpos[:2]
+    np.testing.assert_allclose(
+        qpos[0][:, at],
+        np.asarray(starts.readings.object_pos)[draw.row][:, :2] + np.asarray(draw.offset),
+        atol=1e-3,
+    )
+
+
+def test_world_that_broke_is_told_of_however_it_is_run(scene, starts):
+    """Broken in the middle, finite again at the end."""
+    from scripted import ScriptedPhysics, draw_of, still
+
+    script = still(starts, [0, 0], 20)
+    script.q[5, 1] = np.nan
+    env = ClosingEnv(ScriptedPhysics(scene, script), starts, SHORT, StartNoise(offset_m=0.0))
+    run = run_trials(env, zero_controller(env), draw_of([0, 0]), 2)
+    np.testing.assert_array_equal(run.broken, [False, True])
+    recorded, _ = record_trials(env, zero_controller(env), draw_of([0, 0]))
+    np.testing.assert_array_equal(recorded.broken, [False, True])

@@ -1,0 +1,90 @@
+import csv
+
+import pytest
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.learning.log import MetricLog
+
+COLUMNS = ("iteration", "env_steps", "return")
+STEPS = 1000
+
+
+def write(folder, iterations, start=0, value=1.0):
+    log = MetricLog(folder, COLUMNS, start)
+    for i in iterations:
+        log.write({"iteration": i, "env_steps": i * STEPS, "return": value, "unlisted": 0.0})
+    log.close()
+
+
+def rows(folder):
+    with (folder / "metrics.csv").open(newline="") as stream:
+        return [(int(r["iteration"]), float(r["return"])) for r in csv.DictReader(stream)]
+
+
+def test_rows_are_on_disk_at_once(tmp_path):
+    log = MetricLog(tmp_path, COLUMNS)
+    log.write({"iteration": 1, "env_steps": STEPS, "return": 2.5})
+    assert rows(tmp_path) == [(1, 2.5)]
+    log.close()
+
+
+def test_resume_keeps_rows_up_to_the_checkpoint_and_no_others(tmp_path):
+    write(tmp_path, range(1, 6))
+    write(tmp_path, range(4, 7), start=3, value=2.0)
+    assert rows(tmp_path) == [(1, 1.0), (2, 1.0), (3, 1.0), (4, 2.0), (5, 2.0), (6, 2.0)]
+
+
+def test_new_run_starts_an_empty_log(tmp_path):
+    write(tmp_path, range(1, 4))
+    write(tmp_path, [1])
+    assert rows(tmp_path) == [(1, 1.0)]
+
+
+def test_resume_without_an_old_log_works(tmp_path):
+    write(tmp_path, [8], start=7)
+    assert rows(tmp_path) == [(8, 1.0)]
+
+
+def test_means_over_nothing_do_not_reach_tensorboard(tmp_path, board):
+    write(tmp_path, [1], value=float("nan"))
+    assert [name for name, *_ in board.scalars] == ["env_steps"]
+
+
+def test_resume_purges_the_board_of_what_comes_after_the_checkpoint_only(tmp_path, board):
+    """TensorBoard drops events from `purge_step` on; its steps are environment steps."""
+    write(tmp_path, range(1, 6))
+    board.scalars.clear()
+    write(tmp_path, range(4, 7), start=3)
+    first = min(step for _, _, step in board.scalars)
+    assert 3 * STEPS < board.purge_step <= first
+
+
+def test_missing_wandb_is_an_error_of_its_own(tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(InputError, match=r"wandb.*pip install"):
+        MetricLog(tmp_path, COLUMNS, wandb_project="grasping")
+
+
+@pytest.fixture
+def board(monkeypatch):
+    """Records what is written to TensorBoard."""
+    import tensorboardX
+
+    class Board:
+        scalars: list = []  # noqa: RUF012
+        purge_step = None
+
+        def __init__(self, folder, purge_step=None):
+            Board.purge_step = purge_step
+
+        def add_scalar(self, name, value, step):
+            self.scalars.append((name, value, step))
+
+        def close(self):
+            pass
+
+    Board.scalars = []
+    monkeypatch.setattr(tensorboardX, "SummaryWriter", Board)
+    return Board

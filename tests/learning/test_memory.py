@@ -1,0 +1,34 @@
+import pytest
+
+from mjx_grasp.learning import memory
+from mjx_grasp.learning.config import PPOConfig
+
+GIB = 2**30
+
+
+@pytest.fixture(scope="module")
+def per_world(scene):
+    return memory.bytes_per_world(scene, 16)
+
+
+def test_a_world_takes_more_with_a_longer_rollout(scene, per_world):
+    assert memory.bytes_per_world(scene, 64) - per_world == pytest.approx(
+        48 * (memory.bytes_per_world(scene, 17) - per_world), rel=1e-6
+    )
+    assert 10_000 < per_world < 10_000_000
+
+
+@pytest.mark.parametrize("gib", [1, 2, 5, 16, 80])
+def test_worlds_fit_and_are_a_power_of_two(scene, per_world, gib):
+    worlds = memory.worlds_that_fit(scene, 16, gib * GIB, most=2**30)
+    assert worlds & (worlds - 1) == 0 and worlds % PPOConfig.minibatches == 0
+    assert worlds * per_world <= 0.8 * gib * GIB < 2 * worlds * per_world
+
+
+def test_bounds_on_both_sides(scene):
+    assert memory.worlds_that_fit(scene, 16, 10**15) == memory.MOST_WORLDS
+    assert memory.worlds_that_fit(scene, 16, 1) == PPOConfig.minibatches
+
+
+def test_device_memory_is_plausible():
+    assert 2**28 < memory.device_memory() < 2**42

@@ -1,0 +1,102 @@
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from mjx_grasp import provenance as module
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError, InputError
+
+
+def git(folder, *args):
+    subprocess.run(
+        ["git", "-C", str(folder), "-c", "user.name=t", "-c", "user.email=t@example.org", *args],
+        check=True,
+        capture_output=True,
+    )
+
+
+def test_block_has_all_that_a_result_needs_and_is_json():
+    block = json.loads(json.dumps(module.provenance(7, command="python -m x")))
+    assert set(block) == {"command", "git", "versions", "device", "seed"}
+    assert block["seed"] == 7 and block["command"] == "python -m x"
+    assert {"python", "jax", "mujoco", "brax", "numpy"} <= set(block["versions"])
+    import jax
+
+    assert block["versions"]["jax"] == jax.__version__
+
+
+def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_root", lambda: tmp_path)
+    git(tmp_path, "init", "-q")
+    (tmp_path / "a").write_text("1")
+    git(tmp_path, "add", "a")
+    git(tmp_path, "commit", "-qm", "first")
+    clean = module.git_revision()
+    assert len(clean) == 40 and not clean.endswith("-dirty")
+    (tmp_path / "a").write_text("2")
+    assert module.git_revision() == clean + "-dirty"
+
+
+def test_revision_outside_a_checkout_is_the_stamp_or_unknown(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_root", lambda: tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert module.git_revision() == "unknown"
+    (tmp_path / "REVISION").write_text("abc123\n")
+    assert module.git_revision() == "abc123"
+
+
+@pytest.mark.parametrize("name", ["mjx_grasp.train", "mjx_grasp.train.__main__"])
+def test_command_is_what_a_user_would_type(monkeypatch, name):
+    main = SimpleNamespace(__spec__=SimpleNamespace(name=name))
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    monkeypatch.setattr(sys, "argv", ["/somewhere/train.py", "--out", "my run", "--seed", "1"])
+    assert module.command_line() == "python -m mjx_grasp.train --out 'my run' --seed 1"
+
+
+def test_script_is_named_relative_to_the_repository(monkeypatch):
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=None))
+    script = module._root() / "benchmarks" / "throughput.py"
+    monkeypatch.setattr(sys, "argv", [str(script), "--worlds", "8"])
+    assert module.command_line() == "python benchmarks/throughput.py --worlds 8"
+
+
+def test_missing_packages_are_said_to_be_missing(monkeypatch):
+    monkeypatch.setattr(module, "_PACKAGES", ("numpy", "no_such_package"))
+    found = module.versions()
+    assert found["no_such_package"].startswith("not installed") and found["numpy"][0].isdigit()
+
+
+def test_devices_in_words():
+    gpu = SimpleNamespace(platform="gpu", device_kind="NVIDIA H200")
+    assert module.device_name(gpu) == "NVIDIA H200"
+    assert "cores" in module.device_name(SimpleNamespace(platform="cpu"))
+
+
+@pytest.mark.parametrize(
+    "error, status, said",
+    [
+        (InputError("--worlds", 0, "at least 1"), 2, "error: --worlds: found 0"),
+        (FileError("a.npz", "nothing", "a policy"), 2, "error: a.npz: found nothing"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_commands_end_with_one_line(capsys, error, status, said):
+    def command():
+        raise error
+
+    with pytest.raises(SystemExit) as stop:
+        run_command(command)
+    assert stop.value.code == status
+    streams = capsys.readouterr()
+    assert streams.err.startswith(said) and streams.err.count("\n") == 1 and not streams.out
+
+
+def test_other_errors_keep_their_traceback():
+    def command():
+        raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        run_command(command)

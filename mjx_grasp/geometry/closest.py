@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from mjx_grasp.geometry.vectors import norm
+
 
 class ClosestPoints(NamedTuple):
     """The nearest surface point of each query.
@@ -103,5 +105,4 @@ def closest_on_mesh(
 
     face = jax.lax.map(nearest_face, points, batch_size=tile)
     point, barycentric = closest_on_triangle(points, triangles[face])
-    distance = jnp.sqrt(jnp.sum((points - point) ** 2, axis=-1))
-    return ClosestPoints(point, distance, face, barycentric)
+    return ClosestPoints(point, norm(points - point), face, barycentric)

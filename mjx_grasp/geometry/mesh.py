@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.geometry.vectors import norm, unit
 
 
 class MassProperties(NamedTuple):
@@ -30,7 +30,7 @@ def face_normals_and_areas(
 ) -> tuple[Float[Array, "f 3"], Float[Array, " f"]]:
     """Outward unit normals (zero for a degenerate face) and areas in [m²] of triangles."""
     cross = jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return unit(cross), 0.5 * jnp.sqrt(jnp.sum(cross * cross, axis=-1))
+    return unit(cross), 0.5 * norm(cross)
 
 
 def vertex_normals(
@@ -58,7 +58,8 @@ def interpolate_normals(
         face: Which face each point lies on.
         barycentric: Its weights of the face's three vertices.
     """
-    return unit(jnp.sum(normals[faces[face]] * barycentric[..., None], axis=-2))
+    corners = normals[faces[face]] * barycentric[..., None]
+    return unit(corners[..., 0, :] + corners[..., 1, :] + corners[..., 2, :])
 
 
 def is_closed(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, ""]:

@@ -96,6 +96,7 @@ def farthest_hit(
     met = tuple(_components(side[face]) for side in sides)
     _, _, u, v = _intersect(_components(origins), _components(directions), *met)
     weights = jnp.clip(jnp.stack([1.0 - u - v, u, v], axis=-1), 0.0, 1.0)
-    weights = weights / jnp.maximum(jnp.sum(weights, axis=-1, keepdims=True), 1e-6)
+    total = weights[:, 0] + weights[:, 1] + weights[:, 2]
+    weights = weights / jnp.maximum(total, 1e-6)[:, None]
     weights = jnp.where(hit[:, None], weights, 1.0 / 3.0)
     return RayHits(hit, jnp.where(hit, reach, 0.0), face, weights)

@@ -17,6 +17,7 @@ from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import ConvexHull
 
+from mjx_grasp.geometry.vectors import dot
 from mjx_grasp.robot.spec import RobotSpec
 
 if TYPE_CHECKING:
@@ -172,7 +173,7 @@ def sphere_arms(spheres: HandSpheres, mat: Float[Array, "*b f 3 3"]) -> Float[Ar
         spheres: The hand.
         mat: Rotations of the frames that carry spheres.
     """
-    return jnp.sum(mat[..., spheres.frame, :, :] * np.float32(spheres.offset)[:, None, :], axis=-1)
+    return dot(mat[..., spheres.frame, :, :], np.float32(spheres.offset)[:, None, :])
 
 
 def outside_clearance(
@@ -206,7 +207,7 @@ def own_clearance(
         points: Centres of its spheres, [m].
     """
     between = points[:, None, :] - points[None, :, :]
-    length = jnp.sqrt(jnp.sum(between**2, axis=-1) + 1e-12)
+    length = jnp.sqrt(dot(between, between) + 1e-12)
     gap = jnp.where(spheres.apart, length - np.float32(spheres.radius), jnp.inf)
     nearest = jnp.argmin(gap, axis=1)
     rows = jnp.arange(len(points))

@@ -34,7 +34,7 @@ class SamplingConfig:
     """object area, lateral [m]"""
     poses_per_round: int = 128
     """object poses drawn at a time [-]"""
-    candidates_per_pose: int = 6
+    candidates_per_pose: int = 3
     """heatmap candidates tried on each [-]"""
     min_score: float = 0.05
     """candidates below this are not used, as in the selection [-]"""
@@ -50,7 +50,7 @@ class IkConfig:
 
     iterations: int = 30
     """Levenberg–Marquardt steps, fixed [-]"""
-    restarts: int = 6
+    restarts: int = 4
     """starting configurations per candidate [-]"""
     library_size: int = 60_000
     """configurations from which the starts nearest to the targets are taken [-]"""
@@ -82,7 +82,7 @@ class HandoffConfig:
     """name or description file of the robot"""
     per_object: int = 128
     """pre-grasps wanted of each object [-]"""
-    max_rounds: int = 12
+    max_rounds: int = 20
     """rounds of sampling before an object is left with what it has [-]"""
     max_per_candidate: int = 4
     """pre-grasps that may share one heatmap candidate [-]"""

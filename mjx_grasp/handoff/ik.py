@@ -13,6 +13,7 @@ import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Bool, Float
 
+from mjx_grasp.geometry.vectors import dot, norm
 from mjx_grasp.handoff.clearance import (
     HandSpheres,
     hand_spheres,
@@ -154,7 +155,7 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
         turning = jacobian[_FINGERS:_PALM, 3:]
         swing = w_o * jnp.cross(turning, pads[:, :, None], axisa=1, axisb=1, axisc=1)
         wrench = jnp.concatenate([away, jnp.cross(jnp.tile(arm, (2, 1)), away)], axis=-1)
-        closing = -w_c * jnp.sum(wrench[:, :, None] * jacobian[np.tile(carrier, 2)], axis=1)
+        closing = -w_c * jnp.einsum("sk,skj->sj", wrench, jacobian[np.tile(carrier, 2)])
         rows = [jacobian[:_FINGERS, :3].reshape(9, -1), swing.reshape(9, -1), closing]
         rows = jnp.concatenate(rows, axis=0)
         gradient = rows.T @ residual + w_p**2 * (x - nominal[columns])
@@ -182,10 +183,10 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
         x, cost, _ = jax.lax.fori_loop(0, config.iterations, body, state)
         q = full(x)
         pos, mat = kin.forward(q)
-        cosine = jnp.sum(mat[_FINGERS:_PALM, :, 0] * inward, axis=-1)
+        cosine = dot(mat[_FINGERS:_PALM, :, 0], inward)
         return IkSolution(
             q=q,
-            residual=jnp.sqrt(jnp.sum((pos[:_FINGERS] - targets) ** 2, axis=-1)),
+            residual=norm(pos[:_FINGERS] - targets),
             pad_angle=jnp.arccos(jnp.clip(cosine, -1.0, 1.0)),
             approach=mat[_PALM] @ jnp.float32(arrays.approach_axis),
             at_limit=jnp.any((x <= lower) | (x >= upper)),

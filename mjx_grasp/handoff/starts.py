@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.geometry.vectors import dot, unit
 from mjx_grasp.handoff.clearance import (
     DistanceGrid,
     outside_clearance,
@@ -48,10 +48,12 @@ class StartLibrary(NamedTuple):
     Attributes:
         q: ``[l, joints]`` in [rad].
         features: ``[l, 18]`` tip positions in [m], pad directions scaled to [m]; world.
+        half_squares: ``[l]`` half the squared lengths of the features, [m²].
     """
 
     q: Float[np.ndarray, "l joints"]
     features: Float[np.ndarray, "l 18"]
+    half_squares: Float[np.ndarray, " l"]
 
 
 def _features(tips, directions):
@@ -164,7 +166,8 @@ def build_library(
     for part in np.array_split(np.float32(q), -(-len(q) // _BATCH)):
         pos, mat = forward(_filled(part))
         features.append(np.asarray(_features(pos[:, :3], mat[:, 3:6, :, 0]))[: len(part)])
-    return StartLibrary(np.float32(q), np.concatenate(features))
+    rows = np.concatenate(features)
+    return StartLibrary(np.float32(q), rows, 0.5 * np.sum(rows * rows, axis=-1))
 
 
 def _filled(part: np.ndarray) -> np.ndarray:
@@ -173,13 +176,12 @@ def _filled(part: np.ndarray) -> np.ndarray:
 
 
 @jax.jit
-def _nearest(features, queries):
+def _nearest(features, half_squares, queries):
     """The nearest entries for ``[n, v, 18]`` queries and their squared distances."""
-    norms = 0.5 * jnp.sum(features * features, axis=-1)
 
     def nearest(query):
         product = jnp.dot(query, features.T, precision=jax.lax.Precision.HIGHEST)
-        return jax.lax.top_k(product - norms, _PER_VARIANT)
+        return jax.lax.top_k(product - half_squares, _PER_VARIANT)
 
     score, index = jax.lax.map(nearest, queries, batch_size=_QUERY_TILE)
     return index, jnp.sum(queries * queries, axis=-1, keepdims=True) - 2.0 * score
@@ -190,7 +192,7 @@ def _tip_frame(tips):
     middle = 0.5 * (tips[..., 1, :] + tips[..., 2, :])
     x = unit(middle - tips[..., 0, :])
     along = tips[..., 1, :] - tips[..., 2, :]
-    y = unit(along - jnp.sum(along * x, axis=-1, keepdims=True) * x)
+    y = unit(along - dot(along, x)[..., None] * x)
     origin = 0.5 * (tips[..., 0, :] + middle)
     return origin, jnp.stack([x, y, jnp.cross(x, y)], axis=-1)
 
@@ -219,10 +221,13 @@ def make_ranking(arrays: RobotArrays, clearance: float) -> Callable[..., Float[A
 
     @jax.jit
     def rank(q, goals, p_wo, R_wo, grid):
+        over_starts = jax.vmap(lacking, in_axes=(0, 0, None, None, None))
         with jax.default_matmul_precision("highest"):
-            over_starts = jax.vmap(lacking, in_axes=(0, 0, None, None, None))
-            each = jax.vmap(over_starts, in_axes=(0, 0, 0, 0, None))
-            return each(q, goals, p_wo, R_wo, grid)
+            return jax.lax.map(
+                lambda problem: over_starts(*problem, grid),
+                (q, goals, p_wo, R_wo),
+                batch_size=_QUERY_TILE,
+            )
 
     return rank
 
@@ -257,7 +262,7 @@ def choose_starts(
         Which variant and which entry, the best first.
     """
     queries = _features(jnp.float32(goals), jnp.float32(inward))
-    index, distance = map(np.asarray, _nearest(library.features, queries))
+    index, distance = map(np.asarray, _nearest(library.features, library.half_squares, queries))
     per_variant = index.shape[-1]
     entry = index.reshape(len(goals), -1)
     options = np.repeat(np.float32(goals), per_variant, axis=1)

@@ -20,7 +20,7 @@ from mjx_grasp.geometry.mesh import (
     vertex_normals,
 )
 from mjx_grasp.geometry.rays import farthest_hit
-from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.geometry.vectors import norm, unit
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.scores import (
     anchor_score,
@@ -53,12 +53,13 @@ def _candidates(vertices, faces, face_count, com, axes, diagonal, span, friction
     hits = farthest_hit(
         vertices, -normals, triangles, config.min_ray_fraction * diagonal, config.tile
     )
-    opposing = jnp.einsum("vk,vki->vi", hits.barycentric, triangles[hits.face])
+    corners = triangles[hits.face] * hits.barycentric[:, :, None]
+    opposing = corners[:, 0] + corners[:, 1] + corners[:, 2]
     opposing_normals = interpolate_normals(normals, faces, hits.face, hits.barycentric)
     axis_l = long_axes(
         opposing,
         opposing_normals,
-        jnp.mean(triangles, axis=1),
+        (triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3.0,
         face_normals,
         areas,
         axes,
@@ -80,15 +81,15 @@ def _candidates(vertices, faces, face_count, com, axes, diagonal, span, friction
         normals, faces, nearest.face, nearest.barycentric
     ).reshape(seeds.shape)
 
-    centre = jnp.mean(contacts, axis=1)
+    centre = 0.5 * (contacts[:, 0] + contacts[:, 1])
     reach = centre - vertices
-    width = jnp.sqrt(jnp.sum(reach * reach, axis=-1))
+    width = norm(reach)
     axis_g = unit(reach)
     pushes = friction_score(-axis_g[:, None], -contact_normals, friction)
     terms = {
         "width": width_score(width, span, config.width_sigma),
         "thumb": friction_score(axis_g, -normals, friction),
-        "wrap": jnp.mean(pushes, axis=1),
+        "wrap": 0.5 * (pushes[:, 0] + pushes[:, 1]),
         "coherence": coherence_score(
             contact_normals[:, 0], contact_normals[:, 1], config.coherence_angle
         ),

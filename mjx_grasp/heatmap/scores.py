@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mjx_grasp.geometry.vectors import angle_between, distance_to_line
+from mjx_grasp.geometry.vectors import angle_between, distance_to_line, norm
 
 
 def width_score(
@@ -39,8 +39,7 @@ def separation_score(
     contact_1: Float[Array, "*batch 3"], contact_2: Float[Array, "*batch 3"], full: float
 ) -> Float[Array, "*batch"]:
     """S_sep: ``clip(|c_1 − c_2|/full, 0, 1)``: the wrap fingers have room side by side."""
-    gap = jnp.sqrt(jnp.sum((contact_1 - contact_2) ** 2, axis=-1))
-    return jnp.clip(gap / full, 0.0, 1.0)
+    return jnp.clip(norm(contact_1 - contact_2) / full, 0.0, 1.0)
 
 
 def anchor_score(

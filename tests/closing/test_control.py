@@ -75,7 +75,7 @@ def test_pad_twists_are_the_pads_velocities(scene, joints, posed):
 def test_guided_rates_minimise_the_weighted_error(seed):
     rng = np.random.default_rng(seed)
     jac, field = rng.normal(size=(6, 3)) * 0.1, rng.normal(size=6) * 0.02
-    w = np.array([1, 1, 1, 0.0025, 0.0025, 0.0025])
+    w = np.array([1, 1, 1, 9e-6, 9e-6, 9e-6])
     stacked = np.concatenate([np.sqrt(w)[:, None] * jac, np.sqrt(1e-4) * np.eye(3)])
     expected = np.linalg.lstsq(stacked, np.concatenate([np.sqrt(w) * field, np.zeros(3)]))[0]
     found = control.guided_rates(f32(jac)[None], f32(field)[None], CONFIG)
@@ -133,7 +133,15 @@ def test_published_residual_integrates_the_velocity():
     np.testing.assert_allclose(residual, 0.05 * actions.sum(0), atol=1e-5)
 
 
-def test_landed_fingers_stay():
+def test_landed_fingers_stay_and_the_others_do_not_run_away():
     hold, rates = jnp.zeros((3, 3)), jnp.ones((3, 3))
-    moved = control.hold_until_landed(hold, rates, jnp.array([True, False, True]), CONFIG)
+    landed = jnp.array([True, False, True])
+    moved = control.hold_until_landed(hold, hold, rates, landed, CONFIG)
     np.testing.assert_allclose(moved, np.array([[0.0] * 3, [0.01] * 3, [0.0] * 3]), atol=1e-7)
+    # A joint that something stops at 0 is led by at most 0.1 rad, one way or the other.
+    for sign in (1, -1):
+        target = hold
+        for _ in range(50):
+            target = control.hold_until_landed(target, hold, sign * rates, ~landed, CONFIG)
+        np.testing.assert_allclose(target[0], sign * 0.1, atol=1e-6)
+        np.testing.assert_array_equal(target[1], hold[1])

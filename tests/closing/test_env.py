@@ -144,7 +144,7 @@ def test_scripted_lift_commands_the_palm_up_by_its_height(scene, starts):
 def test_landed_finger_is_held_and_pushed_with_the_grip_force(scene, starts):
     script = still(starts, [0], 120)
     script.tip_found[10:, 0, 1] = True  # the index alone
-    config = ClosingConfig(grip_force=2.0)
+    config = ClosingConfig(grip_force=2.0, grip_together=False, approach_s=9.0)
     env = scripted_env(scene, starts, script, config)
     states, _ = play(env, [0], 120)
     hold = np.asarray(states.episode.hold[:, 0])
@@ -167,6 +167,29 @@ def test_landed_finger_is_held_and_pushed_with_the_grip_force(scene, starts):
     np.testing.assert_allclose(push[-1, 1], expected, atol=2e-5)
     np.testing.assert_allclose(push[10 + 26, 1], expected * 0.5, rtol=0.05, atol=1e-4)
     assert np.abs(push[:11]).max() < 1e-5
+
+
+def test_fingers_grip_together_or_when_the_approach_has_taken_too_long(scene, starts):
+    """World 0: one lands at tick 10, the others at 40; world 1: one lands, the others never."""
+    script = still(starts, [0, 0], 130)
+    script.tip_found[10:, :, 1] = True
+    script.tip_found[40:, 0] = True
+    states, _ = play(scripted_env(scene, starts, script), [0, 0], 130)
+    ticks = np.asarray(states.episode.grip_ticks)
+    assert (ticks == ticks[..., :1]).all()
+    np.testing.assert_array_equal(ticks[:, 0, 0], np.maximum(np.arange(130) - 39, 0))
+    np.testing.assert_array_equal(ticks[:, 1, 0], np.maximum(np.arange(130) - 99, 0))
+
+
+def test_finger_that_arrives_without_touching_grips(scene, starts):
+    """At the contact itself; 4 mm before it; 8 mm before it."""
+    script = still(starts, [0, 0, 0], 4)
+    goal, way = starts.contacts[0], starts.contacts[0] - starts.readings.pad_pos[0]
+    unit = way / np.linalg.norm(way, axis=-1, keepdims=True)
+    for w, left in enumerate((0.0, 0.004, 0.008)):
+        script.pad_pos[:, w] = goal - left * unit
+    states, _ = play(scripted_env(scene, starts, script), [0, 0, 0], 4)
+    np.testing.assert_array_equal(states.episode.grip_ticks[-1, :, 0], [4, 4, 0])
 
 
 OUTCOMES = ("held", "late", "slipped", "dropped", "left", "carried")
@@ -227,7 +250,7 @@ def test_peak_rise_is_reported(outcomes):
 
 def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
     script = lifting_script(starts, [0], contact_tick=5, rise_tick=400)
-    states, out = play(scripted_env(scene, starts, script), [0], 200)
+    _, out = play(scripted_env(scene, starts, script), [0], 200)
     reward = np.asarray(out.reward[:, 0])
     # Acquiring, standing still: 3·mean exp(−|GVF|/(0.5(|GVF| + 0.02))).
     from mjx_grasp.closing.guidance import guidance_field
@@ -247,15 +270,16 @@ def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
     reach = 3.0 * np.exp(-size / (0.5 * (size + 0.02))).mean()
     np.testing.assert_allclose(reward[:5], reach, rtol=1e-3)
     np.testing.assert_allclose(reward[5], reach + 3.0, rtol=1e-3)
-    # Lifting at rest: 2·exp(−(v*/0.1)²) + 3; once the script has ended, 2 + 3.
-    np.testing.assert_allclose(reward[60], 3.0 + 2.0 * np.exp(-(1.5**2)), rtol=1e-3)
+    # Lifting at rest: 2·exp(−(v*/0.1)²) + 3; before the script's motion and after it, 2 + 3.
+    np.testing.assert_allclose(reward[[30, 50]], 5.0, rtol=1e-4)
+    np.testing.assert_allclose(reward[100], 3.0 + 2.0 * np.exp(-(1.5**2)), rtol=1e-3)
     np.testing.assert_allclose(reward[190], 5.0, rtol=1e-4)
 
 
 def test_world_that_is_no_number_is_reported_and_earns_nothing(scene, starts):
     script = still(starts, [0, 1], 3)
     script.q[1:, 1] = np.nan
-    states, out = play(scripted_env(scene, starts, script), [0, 1], 3)
+    _, out = play(scripted_env(scene, starts, script), [0, 1], 3)
     np.testing.assert_array_equal(out.broken, [[False, False], [False, True], [False, True]])
     assert np.isfinite(out.reward).all()
     assert np.isfinite(out.obs["state"][:, 0]).all()

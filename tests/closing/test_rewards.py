@@ -16,7 +16,10 @@ def size(twist):
 
 def expected_reach(twist, guidance):
     return np.mean(
-        [np.exp(-size(v - g) / (0.5 * (size(g) + 0.02))) for v, g in zip(twist, guidance)]
+        [
+            np.exp(-size(v - g) / (0.5 * (size(g) + 0.02)))
+            for v, g in zip(twist, guidance, strict=True)
+        ]
     )
 
 

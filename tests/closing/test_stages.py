@@ -19,21 +19,30 @@ def test_lift_begins_with_three_fingers_or_late_with_two(fingers, tick, late):
     assert bool(stages.lift_begins(touching, jnp.int32(tick), CONFIG)) == expected
 
 
-@given(height=st.floats(0.05, 0.3), speed=st.floats(0.05, 0.3), share=st.floats(0.05, 1.0))
-def test_trapezoid_covers_the_height(height, speed, share):
+@given(
+    height=st.floats(0.05, 0.3),
+    speed=st.floats(0.05, 0.3),
+    share=st.floats(0.05, 1.0),
+    delay=st.floats(0.0, 1.0),
+)
+def test_trapezoid_covers_the_height_after_its_delay(height, speed, share, delay):
     config = ClosingConfig(
-        lift_height=height, lift_speed=speed, lift_ramp_s=share * height / speed * 0.999
+        lift_height=height,
+        lift_speed=speed,
+        lift_ramp_s=share * height / speed * 0.999,
+        lift_delay_s=delay,
     )
-    duration = height / speed + config.lift_ramp_s
+    duration = height / speed + config.lift_ramp_s + delay
     time = np.linspace(0, duration + 0.5, 20001)
     v = np.asarray(stages.lift_speed(jnp.asarray(time, jnp.float32), config))
     assert v.min() >= 0 and v.max() <= speed * (1 + 1e-6)
     np.testing.assert_allclose(np.trapezoid(v, time), height, rtol=1e-3)
-    assert (v[time > duration + 1e-3] == 0).all()
+    assert (v[time > duration + 1e-3] == 0).all() and (v[time < delay - 1e-3] == 0).all()
 
 
 def test_published_lift_summed_over_ticks():
-    v = np.asarray(stages.lift_speed(jnp.arange(400) * 0.01, CONFIG))
+    config = ClosingConfig(lift_delay_s=0.0)
+    v = np.asarray(stages.lift_speed(jnp.arange(400) * 0.01, config))
     np.testing.assert_allclose(v.sum() * 0.01, 0.15, rtol=1e-4)
     np.testing.assert_allclose(v[20:100], 0.15, rtol=1e-5)
     np.testing.assert_allclose(v[10], 0.075, rtol=1e-4)

@@ -29,7 +29,7 @@ def play(rises, displacements, config=SHORT):
 
 def expected_class(rises, displacements, needed=5):
     """Method §7 read out loud."""
-    good = [r >= 0.10 and d < 0.03 for r, d in zip(rises, displacements)]
+    good = [r >= 0.10 and d < 0.03 for r, d in zip(rises, displacements, strict=True)]
     if any(all(good[i : i + needed]) for i in range(len(good) - needed + 1)):
         return "success"
     reached = [i for i, r in enumerate(rises) if r >= 0.10]
@@ -49,7 +49,7 @@ steps = st.lists(
 
 @given(steps)
 def test_class_agrees_with_the_criterion_and_is_the_only_one(sequence):
-    rises, displacements = zip(*sequence)
+    rises, displacements = zip(*sequence, strict=True)
     outcome, classes = play(rises, displacements)
     found = [n for n in FAILURES if bool(classes[n])] + ["success"] * bool(outcome.success)
     assert found == [expected_class(rises, displacements)]

@@ -56,7 +56,7 @@ def test_agrees_with_trimesh(shape):
     elif shape == "box":
         mesh = trimesh.creation.box(extents=[0.1, 0.04, 0.16])
     else:
-        from mjx_grasp.objects import load_object
+        from mjx_grasp.objects.model import load_object
 
         mesh = load_object("mug").mesh
     points = rng.uniform(mesh.bounds[0] * 1.5, mesh.bounds[1] * 1.5, (150, 3))

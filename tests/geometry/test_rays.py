@@ -55,7 +55,7 @@ def test_farthest_hit_agrees_with_embree_on_bumpy_meshes(seed):
 
 @pytest.mark.parametrize("name", ["sugar_box", "tomato_soup_can", "mug", "apple"])
 def test_farthest_hit_agrees_with_embree_on_stand_ins(name):
-    from mjx_grasp.objects import load_object
+    from mjx_grasp.objects.model import load_object
 
     check_against_embree(load_object(name).mesh, 0.99)
 

@@ -94,10 +94,12 @@ def record_trials(
         def tick(carry, _):
             state, obs = carry
             state, out = env.tick(state, controller(obs))
-            return (state, out.obs), env.physics.pack(state.physics)["qpos"]
+            return (state, out.obs), (env.physics.pack(state.physics)["qpos"], out.broken)
 
-        (state, _), qpos = jax.lax.scan(tick, env.start(d), length=env.config.episode_ticks)
-        return _trials(env, state), qpos
+        (state, _), (qpos, broken) = jax.lax.scan(
+            tick, env.start(d), length=env.config.episode_ticks
+        )
+        return _trials(env, state)._replace(broken=broken.any(axis=0)), qpos
 
     trials, qpos = jax.jit(run)(draw)
     return jax.tree.map(np.asarray, trials), np.asarray(qpos)
@@ -115,7 +117,7 @@ def _episode(env: ClosingEnv, controller: Controller, draw: StartDraw) -> Trials
 
 def _trials(env: ClosingEnv, state: EnvState) -> Trials:
     episode = state.episode
-    lift_ticks = jnp.maximum(episode.lift_tick, 1)
+    lift_ticks = episode.lift_tick + 1  # the onset's own tick counts
     return Trials(
         row=episode.row,
         success=episode.outcome.success,

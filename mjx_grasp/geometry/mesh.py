@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry.vectors import norm, unit
 
@@ -62,7 +62,7 @@ def interpolate_normals(
     return unit(corners[..., 0, :] + corners[..., 1, :] + corners[..., 2, :])
 
 
-def is_closed(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, ""]:
+def is_closed(faces: Int[np.ndarray, "f 3"]) -> bool:
     """Whether every edge is shared by as many faces in one direction as in the other."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     count = int(faces.max(initial=0)) + 1
@@ -87,7 +87,7 @@ def mass_properties(
     areas = 0.5 * np.linalg.norm(cross, axis=1)
     volumes = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6.0
     diagonal = np.linalg.norm(np.ptp(vertices, axis=0))
-    closed = bool(is_closed(faces)) and volumes.sum() > 1e-9 * diagonal**3
+    closed = is_closed(faces) and volumes.sum() > 1e-9 * diagonal**3
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
     # k corners; a tetrahedron's fourth corner is the origin.
     mass, k = (volumes, 4) if closed else (areas, 3)

@@ -95,10 +95,10 @@ def hand_spheres(
         radius += [size] * len(centres)
         owner += [int(model.geom_bodyid[geom])] * len(centres)
         centre.append(world)
-    at, size = np.concatenate(centre), np.array(radius)
-    gap = np.linalg.norm(at[:, None] - at, axis=-1) - size[:, None] - size
+    at, radii = np.concatenate(centre), np.array(radius)
+    gap = np.linalg.norm(at[:, None] - at, axis=-1) - radii[:, None] - radii
     apart = _may_collide(model)[np.ix_(owner, owner)] & (gap > 0)
-    return HandSpheres(np.array(frame), np.concatenate(offset), size, apart)
+    return HandSpheres(np.array(frame), np.concatenate(offset), radii, apart)
 
 
 def _may_collide(model: mujoco.MjModel) -> np.ndarray:
@@ -151,7 +151,8 @@ def distance_grid(pieces: Sequence[Piece]) -> DistanceGrid:
         values = np.minimum(values, distance)
     shape = (_RESOLUTION,) * 3
     spacing = (high - low) / (_RESOLUTION - 1)
-    return DistanceGrid(*map(np.float32, (values.reshape(shape), low, spacing)))
+    arrays = (values.reshape(shape), low, spacing)
+    return DistanceGrid(*(np.asarray(array, np.float32) for array in arrays))
 
 
 def distance_and_gradient(
@@ -173,7 +174,7 @@ def sphere_arms(spheres: HandSpheres, mat: Float[Array, "*b f 3 3"]) -> Float[Ar
         spheres: The hand.
         mat: Rotations of the frames that carry spheres.
     """
-    return dot(mat[..., spheres.frame, :, :], np.float32(spheres.offset)[:, None, :])
+    return dot(mat[..., spheres.frame, :, :], jnp.asarray(spheres.offset, mat.dtype)[:, None, :])
 
 
 def outside_clearance(
@@ -208,7 +209,7 @@ def own_clearance(
     """
     between = points[:, None, :] - points[None, :, :]
     length = jnp.sqrt(dot(between, between) + 1e-12)
-    gap = jnp.where(spheres.apart, length - np.float32(spheres.radius), jnp.inf)
+    gap = jnp.where(spheres.apart, length - np.asarray(spheres.radius, np.float32), jnp.inf)
     nearest = jnp.argmin(gap, axis=1)
     rows = jnp.arange(len(points))
     distance = jnp.minimum(gap[rows, nearest], 1.0)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -118,7 +118,7 @@ class HandoffSet:
 
     def save(self, path: str | Path) -> None:
         """Writes the set as a compressed ``.npz`` with version and checksum, all or nothing."""
-        arrays = {
+        arrays: dict[str, np.ndarray] = {
             name: np.ascontiguousarray(getattr(self, name), dtype)
             for name, (_, dtype) in _SCHEMA.items()
         }
@@ -132,7 +132,8 @@ class HandoffSet:
         _check(path, arrays, header)
         header["checksum"] = _checksum(arrays, header)
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+            members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
+            np.savez_compressed(file, **members)
 
 
 def merge(sets: Sequence[HandoffSet]) -> HandoffSet:

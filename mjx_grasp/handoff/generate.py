@@ -110,7 +110,7 @@ class HandoffGenerator:
         sampling, targets, ik = self._config.sampling, self._config.targets, self._config.ik
         pos, quat = sample_object_poses(obj.resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
-        pos, quat = np.float32(pos), np.float32(quat)
+        pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
         first_pose = report.poses
         report.poses += len(pos)
         pairs = []
@@ -136,7 +136,7 @@ class HandoffGenerator:
         normal = np.einsum("nij,nkj->nki", rotation, variants.normal[candidate])
         goal = standoffs(contact, normal[:, None], targets)
         inward = np.broadcast_to(-normal[:, None], goal.shape)
-        p_wo, R_wo = np.float32(pos[pose]), np.float32(rotation)
+        p_wo, R_wo = np.asarray(pos[pose], np.float32), np.asarray(rotation, np.float32)
         variant, entry = choose_starts(
             self._library, self._rank, goal, inward, usable, p_wo, R_wo, grid, ik.restarts
         )
@@ -183,7 +183,7 @@ class HandoffGenerator:
     def _solve_all(self, grid: DistanceGrid, *inputs: np.ndarray) -> IkSolution:
         """Solves all starts of all pairs; arrays in and out are [pairs, starts, …]."""
         shape = inputs[0].shape[:2]
-        flat = [np.float32(x).reshape(-1, *x.shape[2:]) for x in inputs]
+        flat = [np.asarray(x, np.float32).reshape(-1, *x.shape[2:]) for x in inputs]
         solved = map(np.asarray, self._solve(*flat, grid))
         return IkSolution(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in solved))
 
@@ -258,7 +258,7 @@ def _high_enough(
 
 
 def _matrix(quat: np.ndarray) -> np.ndarray:
-    w, x, y, z = np.float64(quat)
+    w, x, y, z = quat.astype(np.float64)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -119,12 +119,12 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
     kin, spheres = arrays.kinematics, arrays.spheres
     columns = np.flatnonzero(arrays.solved)
     margin = np.minimum(config.limit_margin, 0.25 * (arrays.upper - arrays.lower))
-    lower = np.float32(arrays.lower + margin)[columns]
-    upper = np.float32(arrays.upper - margin)[columns]
-    nominal = np.float32(arrays.nominal)
+    lower = np.asarray(arrays.lower + margin, np.float32)[columns]
+    upper = np.asarray(arrays.upper - margin, np.float32)[columns]
+    nominal = np.asarray(arrays.nominal, np.float32)
     w_o, w_p, w_c = config.orientation_weight, config.posture_weight, config.clearance_weight
     carrier = spheres.frame + _PALM + 1
-    reach = np.tile(np.float32(spheres.radius + config.clearance), 2)
+    reach = np.tile(np.asarray(spheres.radius + config.clearance, np.float32), 2)
 
     def full(x):
         return jnp.asarray(nominal).at[columns].set(x)

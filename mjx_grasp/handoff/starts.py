@@ -127,7 +127,7 @@ def build_library(
         kept, count = [], 0
         for _ in range(_MAX_BATCHES):
             q = sample()
-            pos, mat = forward(np.float32(q))
+            pos, mat = forward(np.asarray(q, np.float32))
             good = q[np.asarray(keep(pos, mat))]
             kept.append(good)
             count += len(good)
@@ -163,11 +163,11 @@ def build_library(
 
     q = collected(size, sample, over_table, "arm postures over the object area")
     features = []
-    for part in np.array_split(np.float32(q), -(-len(q) // _BATCH)):
+    for part in np.array_split(np.asarray(q, np.float32), -(-len(q) // _BATCH)):
         pos, mat = forward(_filled(part))
         features.append(np.asarray(_features(pos[:, :3], mat[:, 3:6, :, 0]))[: len(part)])
     rows = np.concatenate(features)
-    return StartLibrary(np.float32(q), rows, 0.5 * np.sum(rows * rows, axis=-1))
+    return StartLibrary(np.asarray(q, np.float32), rows, 0.5 * np.sum(rows * rows, axis=-1))
 
 
 def _filled(part: np.ndarray) -> np.ndarray:
@@ -265,8 +265,10 @@ def choose_starts(
     index, distance = map(np.asarray, _nearest(library.features, library.half_squares, queries))
     per_variant = index.shape[-1]
     entry = index.reshape(len(goals), -1)
-    options = np.repeat(np.float32(goals), per_variant, axis=1)
-    lacking = rank(library.q[entry], options, np.float32(p_wo), np.float32(R_wo), grid)
+    options = np.repeat(np.asarray(goals, np.float32), per_variant, axis=1)
+    lacking = rank(
+        library.q[entry], options, np.asarray(p_wo, np.float32), np.asarray(R_wo, np.float32), grid
+    )
     cost = distance.reshape(entry.shape) + _PENETRATION_WEIGHT**2 * np.asarray(lacking)
     cost = np.where(np.repeat(usable, per_variant, axis=1), cost, np.inf)
     order = np.argsort(cost, axis=1, kind="stable")[:, :count]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.closest import closest_on_mesh
@@ -146,9 +146,9 @@ def _padded(array: np.ndarray, fill: np.ndarray) -> np.ndarray:
 
 
 def compute_heatmap(
-    vertices: Float[Array, "v 3"],
-    faces: Int[Array, "f 3"],
-    com: Float[Array, " 3"] | None,
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    com: Float[np.ndarray, " 3"] | None,
     span: tuple[float, float],
     scoring_friction: float,
     config: HeatmapConfig | None = None,

@@ -86,7 +86,7 @@ class BraxClosingEnv(Env):
             "episode_success": (whole & episode.outcome.success).astype(jnp.float32),
             "episode_reward": jnp.where(whole, episode.total_reward, 0.0),
             "episode_force": jnp.where(
-                whole, episode.force_sum / jnp.maximum(episode.lift_tick, 1), 0.0
+                whole & ~tick.broken, episode.force_sum / (episode.lift_tick + 1), 0.0
             ),
             "broken": tick.broken.astype(jnp.float32),
             "overflow": after.readings.overflow.astype(jnp.float32),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -11,10 +12,12 @@ from typing import Any
 import jax
 import orbax.checkpoint as ocp
 
+from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.ppo import TrainState
 
+_MANIFEST = "manifest.json"
 _NAME = re.compile(r"^iteration_(\d+)$")
 
 
@@ -48,16 +51,21 @@ def save_checkpoint(
                 config=ocp.args.JsonSave(config),
             ),
         )
+    with replacing(path / _MANIFEST) as temporary:
+        temporary.write_text(json.dumps(_digests(path), indent=1))
     for old in checkpoints(folder)[:-keep]:
         shutil.rmtree(old)
     return path
 
 
 def checkpoints(folder: str | Path) -> list[Path]:
-    """Finished checkpoints of a run, oldest first."""
-    folder = Path(folder)
-    found = [p for p in folder.iterdir() if _NAME.match(p.name)] if folder.is_dir() else []
-    return sorted(found, key=lambda p: int(_NAME.match(p.name)[1]))
+    """Finished checkpoints of a run, oldest first; the manifest is written last."""
+    numbered = []
+    for path in Path(folder).iterdir() if Path(folder).is_dir() else ():
+        match = _NAME.match(path.name)
+        if match and (path / _MANIFEST).is_file():
+            numbered.append((int(match[1]), path))
+    return [path for _, path in sorted(numbered)]
 
 
 def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingEnv) -> TrainState:
@@ -72,6 +80,7 @@ def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingE
         FileError: The checkpoint is damaged or belongs to another configuration.
     """
     path = Path(path).resolve()
+    _check_manifest(path)
     like = jax.tree.map(ocp.utils.to_shape_dtype_struct, _packed(template, env))
     try:
         with ocp.Checkpointer(ocp.CompositeCheckpointHandler("state", "config")) as checkpointer:
@@ -97,6 +106,29 @@ def checkpoint_config(path: str | Path) -> dict[str, Any]:
         return json.loads(file.read_text())
     except (OSError, ValueError) as error:
         raise FileError(file, f"no readable configuration ({error})", "a checkpoint") from None
+
+
+def _digests(path: Path) -> dict[str, str]:
+    """SHA-256 of every file of a checkpoint but the manifest; Orbax misses some flipped bits."""
+    files = sorted(p for p in path.rglob("*") if p.is_file() and p.name != _MANIFEST)
+    return {
+        p.relative_to(path).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files
+    }
+
+
+def _check_manifest(path: Path) -> None:
+    try:
+        expected = json.loads((path / _MANIFEST).read_text())
+    except (OSError, ValueError) as error:
+        raise FileError(
+            path / _MANIFEST, f"no readable manifest ({error})", "a checkpoint"
+        ) from None
+    found = _digests(path)
+    changed = sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))
+    if changed:
+        raise FileError(
+            path, f"damaged or missing files ({', '.join(changed[:3])})", "an undamaged checkpoint"
+        )
 
 
 def _packed(state: TrainState, env: BraxClosingEnv) -> dict[str, Any]:

@@ -40,7 +40,8 @@ class MetricLog:
         self._csv.writeheader()
         self._csv.writerows(kept)
         self._file.flush()
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=from_iteration + 1)
+        done = int(float(kept[-1]["env_steps"])) if kept else 0
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=done + 1)
         self._wandb = _wandb_run(wandb_project, folder, config) if wandb_project else None
 
     def write(self, row: dict[str, float]) -> None:

@@ -54,7 +54,7 @@ class Policy:
         """Writes the policy atomically, with a checksum."""
         arrays = self._arrays()
         header = {"format": _FORMAT, "layers": len(self.weights), "meta": self.meta}
-        header["sha256"] = _digest(arrays)
+        header["sha256"] = _digest(arrays, header)
         text = np.frombuffer(json.dumps(header).encode(), np.uint8)
         with replacing(path) as temporary, open(temporary, "wb") as stream:
             np.savez(stream, header=text, **arrays)
@@ -112,9 +112,10 @@ def load_policy(path: str | Path) -> Policy:
         raise FileError(
             path, f"an unreadable file ({error})", "a policy written by mjx_grasp.train"
         ) from None
-    if header.get("format") != _FORMAT:
-        raise FileError(path, f"format {header.get('format')!r}", f"format {_FORMAT!r}")
-    if _digest(arrays) != header["sha256"]:
+    found = header.get("format") if isinstance(header, dict) else type(header).__name__
+    if found != _FORMAT:
+        raise FileError(path, f"format {found!r}", f"format {_FORMAT!r}")
+    if _digest(arrays, header) != header.get("sha256"):
         raise FileError(path, "contents that do not match their checksum", "an undamaged policy")
     layers = range(header["layers"])
     return Policy(
@@ -126,8 +127,10 @@ def load_policy(path: str | Path) -> Policy:
     )
 
 
-def _digest(arrays: dict[str, np.ndarray]) -> str:
-    digest = hashlib.sha256()
+def _digest(arrays: dict[str, np.ndarray], header: dict[str, Any]) -> str:
+    """Of the arrays and of what the header says, its own checksum apart."""
+    facts = {k: v for k, v in header.items() if k != "sha256"}
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for name in sorted(arrays):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())

@@ -1,57 +1,167 @@
-"""Object models."""
+"""An object as simulation and heatmap need it, from a scan or from its stand-in."""
+
 from __future__ import annotations
 
 import hashlib
-import pickle
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import load_catalogue
-from mjx_grasp.objects.convex import Piece, convex_pieces
+from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.resting import RestingPose, resting_poses
+from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.resting import RestingConfig, RestingPose, resting_poses
+
+_CACHE_FORMAT = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """An object."""
+    """Shape, mass and resting poses. Object frame: axis-aligned box centred at the origin, z up."""
 
     name: str
     source: str
+    """'scan' or 'parametric'."""
     mesh: trimesh.Trimesh
+    """Closed, wound outwards [m]."""
     mass: float
-    com: np.ndarray
-    inertia: np.ndarray
+    """kg, of the catalogue."""
+    com: Float[np.ndarray, "3"]
+    """Centre of mass at uniform density [m]."""
+    inertia: Float[np.ndarray, "3 3"]
+    """About the centre of mass, object axes [kg m²]."""
     pieces: tuple[Piece, ...]
+    """Convex pieces for collision."""
     outward_error_95: float
+    """95th percentile of how far the pieces' surface lies outside the mesh [m]."""
     resting: tuple[RestingPose, ...]
+    """Stable poses on the table, the most probable first."""
     content_hash: str
+    """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
 
 
-def load_object(name: str, objects_dir: Path | None = None, cache_dir: Path | None = None) -> ObjectModel:
-    """Loads an object."""
-    info = load_catalogue()[name]
-    mesh, _ = read_mesh(find_scan(objects_dir, info.scan_names))
-    mesh = centred(mesh, info.scale)
-    digest = hashlib.sha256(np.round(mesh.vertices * 1e6).astype(np.int64).tobytes() + np.asarray(mesh.faces, np.int64).tobytes()).hexdigest()
-    path = Path.home() / ".cache/mjx_grasp_tmp" / f"{digest}.pkl"
-    com, inertia = mass_properties(mesh, info.mass)
-    if path.exists():
-        pieces, error, resting = pickle.loads(path.read_bytes())
-    else:
+def load_object(
+    name: str, objects_dir: Path | None = None, cache_dir: Path | None = None
+) -> ObjectModel:
+    """Loads an object; convex pieces and resting poses are computed once and cached.
+
+    Args:
+        name: A name of the catalogue.
+        objects_dir: Folder of real scans; the parametric stand-in without one.
+        cache_dir: Where derived shapes are kept; ``~/.cache/mjx_grasp`` by default.
+
+    Raises:
+        InputError: An unknown name.
+        FileError: The scan is missing or unusable.
+    """
+    mesh = _mesh(name, objects_dir)
+    mass = load_catalogue()[name].mass
+    com, inertia = mass_properties(mesh, mass)
+    digest = _content_hash(mesh)
+    entry = _cache_entry(digest, cache_dir)
+    derived = _read_cache(entry)
+    if derived is None:
         pieces, error = convex_pieces(mesh)
-        resting = resting_poses(pieces, com)
-        with replacing(path) as t:
-            t.write_bytes(pickle.dumps((pieces, error, resting)))
-    return ObjectModel(name, "scan", mesh, info.mass, com, inertia, pieces, error, resting, digest)
+        derived = pieces, error, resting_poses(pieces, com)
+        _write_cache(entry, *derived)
+    pieces, error, resting = derived
+    source = "parametric" if objects_dir is None else "scan"
+    return ObjectModel(name, source, mesh, mass, com, inertia, pieces, error, resting, digest)
 
 
-def load_objects(names: Sequence[str], objects_dir: Path | None = None) -> list[ObjectModel]:
-    """Loads several."""
-    return [load_object(n, objects_dir) for n in names]
+def load_objects(
+    names: Sequence[str], objects_dir: Path | None = None, cache_dir: Path | None = None
+) -> list[ObjectModel]:
+    """Loads several objects, with a progress bar while shapes have to be worked out."""
+    meshes = (_mesh(n, objects_dir) for n in names)
+    missing = sum(not _cache_entry(_content_hash(m), cache_dir).exists() for m in meshes)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns,
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=missing == 0,
+        transient=True,
+    ) as progress:
+        bar = progress.add_task("convex pieces", total=len(names))
+        loaded = []
+        for name in names:
+            loaded.append(load_object(name, objects_dir, cache_dir))
+            progress.advance(bar)
+    return loaded
+
+
+def _mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
+    catalogue = load_catalogue()
+    if name not in catalogue:
+        raise InputError("object", name, f"one of {', '.join(catalogue)}")
+    info = catalogue[name]
+    if objects_dir is None:
+        return stand_in(info.scan_of, info.scale)
+    mesh, _ = read_mesh(find_scan(objects_dir, info.scan_names))
+    return centred(mesh, info.scale)
+
+
+def _content_hash(mesh: trimesh.Trimesh) -> str:
+    micrometres = np.round(np.asarray(mesh.vertices) * 1e6).astype(np.int64)
+    faces = np.asarray(mesh.faces, np.int64)
+    return hashlib.sha256(micrometres.tobytes() + faces.tobytes()).hexdigest()
+
+
+def _cache_entry(digest: str, cache_dir: Path | None) -> Path:
+    folder = cache_dir or Path.home() / ".cache" / "mjx_grasp"
+    settings: dict[str, Any] = {
+        "format": _CACHE_FORMAT,
+        "convex": asdict(ConvexConfig()),
+        "resting": asdict(RestingConfig()),
+    }
+    key = hashlib.sha256((digest + json.dumps(settings, sort_keys=True)).encode()).hexdigest()
+    return folder / f"{key[:32]}.npz"
+
+
+def _write_cache(
+    path: Path, pieces: tuple[Piece, ...], error: float, resting: tuple[RestingPose, ...]
+) -> None:
+    arrays: dict[str, Any] = {f"vertices_{i}": p.vertices for i, p in enumerate(pieces)}
+    arrays |= {
+        "kind": np.array([p.kind for p in pieces]),
+        "pos": np.stack([p.pos for p in pieces]),
+        "radius": np.array([p.radius for p in pieces]),
+        "error": np.array(error),
+        "resting_quat": np.stack([r.quat for r in resting]),
+        "resting": np.array([[r.height, r.probability] for r in resting]),
+    }
+    with replacing(path) as temporary, open(temporary, "wb") as stream:
+        np.savez(stream, **arrays)
+
+
+def _read_cache(path: Path) -> tuple[tuple[Piece, ...], float, tuple[RestingPose, ...]] | None:
+    """A cache entry; None where there is none or it is damaged, so that it is made again."""
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as a:
+            pieces = tuple(
+                Piece(str(kind), a["pos"][i], float(a["radius"][i]), a[f"vertices_{i}"])
+                for i, kind in enumerate(a["kind"])
+            )
+            resting = tuple(
+                RestingPose(quat, float(height), float(probability))
+                for quat, (height, probability) in zip(a["resting_quat"], a["resting"], strict=True)
+            )
+            return pieces, float(a["error"]), resting
+    except Exception:
+        return None

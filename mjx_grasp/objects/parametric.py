@@ -110,7 +110,8 @@ def _pitcher_base() -> trimesh.Trimesh:
         0.006,
         up=(0.0, 1.0, 0.0),
     )
-    return joined(body, handle)
+    # The handle stands where the scan has it.
+    return placed(joined(body, handle), degrees=138.0)
 
 
 def _mustard_bottle() -> trimesh.Trimesh:
@@ -186,7 +187,7 @@ def _mug() -> trimesh.Trimesh:
         0.004,
         up=(0.0, 1.0, 0.0),
     )
-    return joined(lathe(np.array(profile), 0.0062), handle)
+    return placed(joined(lathe(np.array(profile), 0.0062), handle), degrees=-39.0)
 
 
 def _wine_glass() -> trimesh.Trimesh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -165,7 +166,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _divided(rows: np.ndarray, edge: float, measured: int) -> np.ndarray:
     """Inserts rows so that steps, measured in the first columns, are at most an edge long."""
     pieces = []
-    for start, end in zip(rows[:-1], rows[1:], strict=True):
+    for start, end in itertools.pairwise(rows):
         length = float(np.linalg.norm((end - start)[:measured]))
         # Steps of the rows' own detail stay; only steps above 1.3 edges are divided.
         steps = max(int(np.ceil(length / edge - 0.3)), 1)
@@ -225,7 +226,7 @@ def _skin(rings: Sequence[Float[np.ndarray, "n 3"]]) -> trimesh.Trimesh:
     """The closed surface over rings that turn anticlockwise about the direction of their order."""
     start = np.cumsum([0, *(len(ring) for ring in rings)])
     faces: list[tuple[int, int, int]] = []
-    for k, (lower, upper) in enumerate(zip(rings[:-1], rings[1:], strict=True)):
+    for k, (lower, upper) in enumerate(itertools.pairwise(rings)):
         faces += _band(int(start[k]), len(lower), int(start[k + 1]), len(upper))
     return trimesh.Trimesh(np.concatenate(rings), np.array(faces, dtype=np.int64), process=False)
 

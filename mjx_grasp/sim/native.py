@@ -139,6 +139,8 @@ class _World:
     """One model and its data, which take the place of one world after the other."""
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, substeps: int):
+        # A state that is not finite has to be seen, not silently put back to the default pose.
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._model, self._data = model, mujoco.MjData(model)
         self._at, self._substeps = scene.addresses, substeps
         # A body whose inertia is diagonal has a shorter M, so addresses differ between objects.

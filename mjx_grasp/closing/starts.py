@@ -90,10 +90,10 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
         object_index=jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32),
         qpos=jnp.asarray(qpos, jnp.float32),
         ctrl=jnp.asarray(ctrl, jnp.float32),
-        readings=jax.tree.map(jnp.asarray, readings),
+        readings=readings,
         contacts=jnp.asarray(handoffs.target_pos, jnp.float32),
         normals=normals,
-        goal_mat=goal_frame(jnp.asarray(readings.pad_mat), normals),
+        goal_mat=goal_frame(readings.pad_mat, normals),
         hull=jnp.asarray(_hulls(scene)),
     )
 
@@ -186,18 +186,18 @@ def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:
         rows["joint_axis"].append(data.xaxis[joints])
         rows["joint_anchor"].append(data.xanchor[joints])
     return Readings(
-        q=qpos[:, at.robot_qpos].astype(np.float32),
-        qd=np.zeros((n, len(at.robot_dof)), np.float32),
-        object_pos=qpos[:, at.object_qpos[:3]].astype(np.float32),
-        object_quat=qpos[:, at.object_qpos[3:]].astype(np.float32),
-        object_vel=np.zeros((n, 6), np.float32),
-        tip_found=np.zeros((n, f), bool),
-        tip_force=np.zeros((n, f, 3), np.float32),
-        finger_force=np.zeros((n, f, 3), np.float32),
-        external_torque=np.zeros((n, substeps, policy_joints), np.float32),
-        constraints=np.zeros(n, np.int32),
-        overflow=np.zeros(n, bool),
-        **{k: np.asarray(v, np.float32) for k, v in rows.items()},
+        q=jnp.asarray(qpos[:, at.robot_qpos], jnp.float32),
+        qd=jnp.zeros((n, len(at.robot_dof)), jnp.float32),
+        object_pos=jnp.asarray(qpos[:, at.object_qpos[:3]], jnp.float32),
+        object_quat=jnp.asarray(qpos[:, at.object_qpos[3:]], jnp.float32),
+        object_vel=jnp.zeros((n, 6), jnp.float32),
+        tip_found=jnp.zeros((n, f), bool),
+        tip_force=jnp.zeros((n, f, 3), jnp.float32),
+        finger_force=jnp.zeros((n, f, 3), jnp.float32),
+        external_torque=jnp.zeros((n, substeps, policy_joints), jnp.float32),
+        constraints=jnp.zeros(n, jnp.int32),
+        overflow=jnp.zeros(n, bool),
+        **{k: jnp.asarray(np.asarray(v, np.float32)) for k, v in rows.items()},
     )
 
 

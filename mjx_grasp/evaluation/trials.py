@@ -19,25 +19,28 @@ from mjx_grasp.errors import InputError
 Controller = Callable[[dict[str, Array]], Float[Array, "w a"]]
 """Observations in, actions out."""
 
+Column = Array | np.ndarray
+"""On the device while trials run, on the host once they are done."""
+
 
 class Trials(NamedTuple):
     """What came of each trial."""
 
-    row: Int[np.ndarray, " n"]
+    row: Int[Column, " n"]
     """Row of the start table."""
-    success: Bool[np.ndarray, " n"]
-    never_lifted: Bool[np.ndarray, " n"]
-    slipped: Bool[np.ndarray, " n"]
-    not_held: Bool[np.ndarray, " n"]
-    broken: Bool[np.ndarray, " n"]
+    success: Bool[Column, " n"]
+    never_lifted: Bool[Column, " n"]
+    slipped: Bool[Column, " n"]
+    not_held: Bool[Column, " n"]
+    broken: Bool[Column, " n"]
     """The state stopped being finite; counted as never lifted or not held as it was."""
-    force_mean: Float[np.ndarray, " n"]
+    force_mean: Float[Column, " n"]
     """Finger force, mean over fingers and ticks since lift onset [N]; nan without a lift."""
-    force_peak: Float[np.ndarray, " n"]
+    force_peak: Float[Column, " n"]
     """Largest force on one finger since lift onset [N]; nan without a lift."""
-    peak_rise: Float[np.ndarray, " n"]
+    peak_rise: Float[Column, " n"]
     """Largest rise of the object [m]."""
-    reward: Float[np.ndarray, " n"]
+    reward: Float[Column, " n"]
     """Sum of rewards."""
 
 

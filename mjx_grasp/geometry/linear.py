@@ -20,7 +20,7 @@ def solve_spd(a: Float[Array, "*b n n"], rhs: Float[Array, "*b n"]) -> Float[Arr
     """
     n = rhs.shape[-1]
     low = [[a[..., i, j] for j in range(i + 1)] for i in range(n)]
-    diag = []
+    diag: list[Array] = []
     for j in range(n):
         d = low[j][j]
         for k in range(j):

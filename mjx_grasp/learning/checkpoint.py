@@ -51,8 +51,9 @@ def save_checkpoint(
                 config=ocp.args.JsonSave(config),
             ),
         )
+    manifest = json.dumps(_digests(path), indent=1)
     with replacing(path / _MANIFEST) as temporary:
-        temporary.write_text(json.dumps(_digests(path), indent=1))
+        temporary.write_text(manifest)
     for old in checkpoints(folder)[:-keep]:
         shutil.rmtree(old)
     return path

@@ -59,8 +59,8 @@ class Policy:
         with replacing(path) as temporary, open(temporary, "wb") as stream:
             np.savez(stream, header=text, **arrays)
 
-    def _arrays(self) -> dict[str, np.ndarray]:
-        arrays = {"mean": self.mean, "std": self.std}
+    def _arrays(self) -> dict[str, Any]:
+        arrays: dict[str, Any] = {"mean": self.mean, "std": self.std}
         for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays |= {f"weight_{i}": w, f"bias_{i}": b}
         return arrays

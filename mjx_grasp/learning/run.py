@@ -172,6 +172,6 @@ def _dump_incident(folder: Path, state: TrainState, iteration: int) -> None:
 
 def _save_arrays(path: Path, tree: Any) -> None:
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
-    arrays = {jax.tree_util.keystr(p): np.asarray(x) for p, x in leaves}
+    arrays: dict[str, Any] = {jax.tree_util.keystr(p): np.asarray(x) for p, x in leaves}
     with replacing(path) as temporary, open(temporary, "wb") as stream:
         np.savez(stream, **arrays)

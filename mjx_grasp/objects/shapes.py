@@ -49,8 +49,8 @@ def loft(
 
 def sweep(
     path: Float[np.ndarray, "n 3"],
-    half_across: float | Sequence[float],
-    half_up: float | Sequence[float],
+    half_across: float | Float[np.ndarray, "n"],
+    half_up: float | Float[np.ndarray, "n"],
     edge: float,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     exponent: float = 2.0,
@@ -259,9 +259,9 @@ def _grid_surface(
         for side in (0, shape[axis] - 1):
             corner = []
             for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                index = [np.zeros_like(i)] * 3
-                index[axis], index[u], index[v] = np.full_like(i, side), i + di, j + dj
-                corner.append(np.ravel_multi_index(tuple(index), tuple(shape)).ravel())
+                cell = [np.zeros_like(i)] * 3
+                cell[axis], cell[u], cell[v] = np.full_like(i, side), i + di, j + dj
+                corner.append(np.ravel_multi_index(tuple(cell), tuple(shape)).ravel())
             a, b, c, d = corner if side else corner[::-1]
             faces += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
     used, index = np.unique(np.concatenate(faces), return_inverse=True)

@@ -45,7 +45,7 @@ class MjxPhysics:
             raise InputError("num_worlds", num_worlds, "at least 1")
         self.scene, self.num_worlds = scene, num_worlds
         self.substeps = check_control_rate(scene, control_dt)
-        # Warp would print a line per world whose line search stops early; overflows are in Readings.
+        # Warp would print a line per world whose line search stops early; Readings has overflows.
         quiet = {"opt._impl.warn_overflow": 0}
         self._model = mjx.put_model(scene.model, impl="warp").tree_replace(quiet)
         self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)

@@ -119,8 +119,7 @@ class NativePhysics:
         return NativeState(**packed)
 
     def _step_host(self, state: NativeState, params: WorldParams) -> dict[str, np.ndarray]:
-        state = NativeState(*(np.asarray(x) for x in state))
-        params = WorldParams(*(np.asarray(x) for x in params))
+        state, params = jax.tree.map(np.asarray, (state, params))
         worlds = len(state.qpos)
         out = {n: np.empty((worlds, *s), d) for n, (s, d) in self._readings.items()}
 
@@ -218,7 +217,9 @@ def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, .
         "bias": (substeps, m.nv),
         "applied": (substeps, m.nv),
     }
-    shapes = {name: (shape, np.dtype(np.float32)) for name, shape in floats.items()}
+    shapes: dict[str, tuple[tuple[int, ...], np.dtype]] = {
+        name: (shape, np.dtype(np.float32)) for name, shape in floats.items()
+    }
     shapes["tip_found"] = ((f,), np.dtype(bool))
     shapes["constraints"] = ((), np.dtype(np.int32))
     return shapes

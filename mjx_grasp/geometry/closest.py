@@ -36,40 +36,38 @@ def _ratio(numerator, denominator):
 def _weights(ap, ab, ac):
     """Barycentric weights (v, w) of the nearest point, and the squared distance.
 
-    Ericson, Real-Time Collision Detection, 5.1.5: the Voronoi region of the query is found from
-    six dot products. ``ap, ab, ac`` are tuples of components, so that everything fuses into one
-    pass. A degenerate triangle falls through to its edges.
+    Inside where the projection is (the signed areas of Ericson, Real-Time Collision Detection,
+    5.1.5), else the nearest of the three edges: that holds for degenerate triangles too, on which
+    the choice by Voronoi regions fails. ``ap, ab, ac`` are tuples of components, so that
+    everything fuses into one pass.
     """
 
     def dot(a, b):
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+    def squared_distance(v, w):
+        # Of the remainder vector, not a difference of squares: exact on the surface.
+        r = tuple(ap[k] - v * ab[k] - w * ac[k] for k in range(3))
+        return dot(r, r)
 
     ab2, ac2, abac = dot(ab, ab), dot(ac, ac), dot(ab, ac)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     d3, d4 = d1 - ab2, d2 - abac
     d5, d6 = d1 - abac, d2 - ac2
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    inside = (va > 0) & (vb > 0) & (vc > 0)
+    inverse = 1.0 / jnp.where(inside, va + vb + vc, 1.0)
 
-    on_ab = (vc <= 0) & (d1 >= 0) & (d3 <= 0)
-    on_ac = (vb <= 0) & (d2 >= 0) & (d6 <= 0)
-    on_bc = (va <= 0) & (d4 >= d3) & (d5 >= d6)
-    at_a, at_b, at_c = (d1 <= 0) & (d2 <= 0), (d3 >= 0) & (d4 <= d3), (d6 >= 0) & (d5 <= d6)
-
-    total = va + vb + vc
-    inverse = 1.0 / jnp.where(total > 0, total, 1.0)
     along_bc = _ratio(d4 - d3, (d4 - d3) + (d5 - d6))
-    # Clipped: on a degenerate triangle rounding can leave no region true.
-    v = jnp.clip(vb * inverse, 0.0, 1.0)
-    w = jnp.clip(vc * inverse, 0.0, 1.0 - v)
-    v, w = jnp.where(on_bc, 1.0 - along_bc, v), jnp.where(on_bc, along_bc, w)
-    v, w = jnp.where(on_ac, 0.0, v), jnp.where(on_ac, _ratio(d2, ac2), w)
-    v, w = jnp.where(on_ab, _ratio(d1, ab2), v), jnp.where(on_ab, 0.0, w)
-    v, w = jnp.where(at_c, 0.0, v), jnp.where(at_c, 1.0, w)
-    v, w = jnp.where(at_b, 1.0, v), jnp.where(at_b, 0.0, w)
-    v, w = jnp.where(at_a, 0.0, v), jnp.where(at_a, 0.0, w)
-    # The remainder vector, not a difference of squares: exact for queries on the surface.
-    r = tuple(ap[k] - v * ab[k] - w * ac[k] for k in range(3))
-    return v, w, dot(r, r)
+    v, w = _ratio(d1, ab2), jnp.zeros_like(d1)
+    least = squared_distance(v, w)
+    for other_v, other_w in ((0.0 * d2, _ratio(d2, ac2)), (1.0 - along_bc, along_bc)):
+        distance = squared_distance(other_v, other_w)
+        nearer = distance < least
+        v, w = jnp.where(nearer, other_v, v), jnp.where(nearer, other_w, w)
+        least = jnp.where(nearer, distance, least)
+    v, w = jnp.where(inside, vb * inverse, v), jnp.where(inside, vc * inverse, w)
+    return v, w, jnp.where(inside, squared_distance(v, w), least)
 
 
 def _components(x):

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.table import Table
 
 from mjx_grasp.atomic import replacing
@@ -63,21 +64,31 @@ class ObjectReport:
         return asdict(self) | {"rejected": rejected, "seconds": round(self.seconds, 2)} | derived
 
 
+# The table joins reasons that are alike; the JSON keeps them apart.
+_COLUMNS = {
+    "no IK": ("unreachable", "limits"),
+    "reach axis": ("reach-axis",),
+    "self": ("self",),
+    "arm": ("arm-table", "arm-object"),
+    "hand–table": ("hand-table",),
+    "hand–object": ("hand-object",),
+}
+
+
 def report_table(reports: Sequence[ObjectReport]) -> Table:
     """The per-object table that the command prints."""
-    columns = ("object", "sampled", "IK converged", *OUTCOMES, "feasible", "kept", "s")
-    table = Table(title="Pre-grasps, per object: pairs of object pose and candidate")
-    for column in columns:
-        table.add_column(column, justify="left" if column == "object" else "right")
+    table = Table(title="Pre-grasps: pairs of object pose and candidate", box=SIMPLE, padding=0)
+    table.add_column("object", no_wrap=True)
+    for column in ("tried", *_COLUMNS, "feasible", "kept", "s"):
+        table.add_column(column, justify="right")
     for r in reports:
         table.add_row(
             r.name,
             str(r.sampled),
-            str(r.converged),
-            *(str(r.rejected[reason]) for reason in OUTCOMES),
-            f"{r.feasible} ({100 * r.feasible_share:.0f} %)",
+            *(str(sum(r.rejected[reason] for reason in group)) for group in _COLUMNS.values()),
+            f"{100 * r.feasible_share:.0f} %",
             str(r.kept) if r.eligible else "not eligible",
-            f"{r.seconds:.1f}",
+            f"{r.seconds:.0f}",
         )
     return table
 

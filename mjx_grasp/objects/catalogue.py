@@ -52,7 +52,7 @@ def load_catalogue() -> dict[str, ObjectInfo]:
     path = asset_path("catalogue.yaml")
     try:
         entries = [_entry(e) for e in yaml.safe_load(path.read_text())["objects"]]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise FileError(path, f"a damaged catalogue ({error!r})", "a list of objects") from None
     catalogue = {e.name: e for e in entries}
     if len(catalogue) != len(entries):
@@ -106,5 +106,9 @@ def _entry(e: Mapping[str, Any]) -> ObjectInfo:
         the_eight=e.get("the_eight", False),
         scale=e.get("scale", 1.0),
         scan_of=e.get("scan_of", e["name"]),
-        parts={n: (float(p[0]), float(p[1]), float(p[2])) for n, p in e.get("parts", {}).items()},
+        parts={name: _point(*centre) for name, centre in e.get("parts", {}).items()},
     )
+
+
+def _point(x: float, y: float, z: float) -> Point:
+    return float(x), float(y), float(z)

@@ -83,13 +83,15 @@ def repair(
     mesh.remove_unreferenced_vertices()
     merged = len(np.unique(faces)) - len(mesh.vertices)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    start, dropped, filled = len(faces), 0, 0
+    start, dropped, filled, flipped = len(faces), 0, 0, 0
     faces = _without_degenerate(vertices, faces)
     dropped += start - len(faces)
     for _ in range(_ROUNDS):
         kept = _without_crowded_edges(faces)
         dropped += len(faces) - len(kept)
-        vertices, faces, holes = _fill_holes(vertices, _consistent(kept)[0])
+        agreeing, turned = _consistent(kept)
+        flipped += turned
+        vertices, faces, holes = _fill_holes(vertices, agreeing)
         filled += holes
         if _is_closed(faces):
             break
@@ -101,7 +103,6 @@ def repair(
             f"{int((counts > 2).sum())} edges with more than two faces, {dropped} faces dropped)",
             "a closed surface, or one with small holes",
         )
-    faces, flipped = _consistent(faces)
     faces, turned = _outward(vertices, faces)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.remove_unreferenced_vertices()

@@ -22,9 +22,9 @@ from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.objects.resting import RestingConfig, RestingPose, resting_poses
+from mjx_grasp.objects.resting import RestingPose, resting_poses
 
-_CACHE_FORMAT = 1
+_CACHE_FORMAT = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ObjectModel:
 def load_object(
     name: str, objects_dir: Path | None = None, cache_dir: Path | None = None
 ) -> ObjectModel:
-    """Loads an object; convex pieces and resting poses are computed once and cached.
+    """Loads an object; its convex pieces are computed once and cached.
 
     Args:
         name: A name of the catalogue.
@@ -73,10 +73,10 @@ def load_object(
     entry = _cache_entry(digest, cache_dir)
     derived = _read_cache(entry)
     if derived is None:
-        pieces, error = convex_pieces(mesh)
-        derived = pieces, error, resting_poses(pieces, com)
+        derived = convex_pieces(mesh)
         _write_cache(entry, *derived)
-    pieces, error, resting = derived
+    pieces, error = derived
+    resting = resting_poses(pieces, com)
     source = "parametric" if objects_dir is None else "scan"
     return ObjectModel(name, source, mesh, mass, com, inertia, pieces, error, resting, digest)
 
@@ -126,29 +126,24 @@ def _cache_entry(digest: str, cache_dir: Path | None) -> Path:
     settings: dict[str, Any] = {
         "format": _CACHE_FORMAT,
         "convex": asdict(ConvexConfig()),
-        "resting": asdict(RestingConfig()),
     }
     key = hashlib.sha256((digest + json.dumps(settings, sort_keys=True)).encode()).hexdigest()
     return folder / f"{key[:32]}.npz"
 
 
-def _write_cache(
-    path: Path, pieces: tuple[Piece, ...], error: float, resting: tuple[RestingPose, ...]
-) -> None:
+def _write_cache(path: Path, pieces: tuple[Piece, ...], error: float) -> None:
     arrays: dict[str, Any] = {f"vertices_{i}": p.vertices for i, p in enumerate(pieces)}
     arrays |= {
         "kind": np.array([p.kind for p in pieces]),
         "pos": np.stack([p.pos for p in pieces]),
         "radius": np.array([p.radius for p in pieces]),
         "error": np.array(error),
-        "resting_quat": np.stack([r.quat for r in resting]),
-        "resting": np.array([[r.height, r.probability] for r in resting]),
     }
     with replacing(path) as temporary, open(temporary, "wb") as stream:
         np.savez(stream, **arrays)
 
 
-def _read_cache(path: Path) -> tuple[tuple[Piece, ...], float, tuple[RestingPose, ...]] | None:
+def _read_cache(path: Path) -> tuple[tuple[Piece, ...], float] | None:
     """A cache entry; None where there is none or it is damaged, so that it is made again."""
     if not path.exists():
         return None
@@ -158,10 +153,6 @@ def _read_cache(path: Path) -> tuple[tuple[Piece, ...], float, tuple[RestingPose
                 Piece(str(kind), a["pos"][i], float(a["radius"][i]), a[f"vertices_{i}"])
                 for i, kind in enumerate(a["kind"])
             )
-            resting = tuple(
-                RestingPose(quat, float(height), float(probability))
-                for quat, (height, probability) in zip(a["resting_quat"], a["resting"], strict=True)
-            )
-            return pieces, float(a["error"]), resting
+            return pieces, float(a["error"])
     except Exception:
         return None

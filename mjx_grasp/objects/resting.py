@@ -16,9 +16,11 @@ class RestingConfig:
     """Which resting poses count, and how many."""
 
     min_probability: float = 0.03
-    max_poses: int = 6
-    min_margin: float = 0.001  # m, from the centre of mass's foot to the edge of the support
+    max_poses: int = 12  # a can on its side alone takes about eight
+    min_margin: float = 0.0015  # m, from the centre of mass's foot to the edge of the support
     merge_angle: float = 0.44  # rad: resting directions closer than this are one pose
+    touching: float = 0.0002  # m: points this close to a facet's plane support it
+    same_face: float = 0.06  # rad: facets this close are one face, whose corners the hull has cut
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,14 @@ def resting_poses(
         return (_ball_pose(pieces[0], com),)
     points = np.concatenate([_support(piece) for piece in pieces])
     hull = ConvexHull(points)
-    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    normals = hull.equations[:, :3]
     corners = points[hull.simplices]
     final = _topple(hull, corners, normals, com)
     landing = _solid_angle(corners - com) / (4.0 * np.pi)
     probability = np.bincount(final, weights=landing, minlength=len(normals))
     margin = np.array(
         [
-            _margin(points[hull.vertices], normals[f], offsets[f], com) if p > 0 else -np.inf
+            _margin(_supporting(hull, f, config), normals[f], com) if p > 0 else -np.inf
             for f, p in enumerate(probability)
         ]
     )
@@ -145,12 +147,23 @@ def _solid_angle(corners: np.ndarray) -> np.ndarray:
     return 2.0 * np.abs(np.arctan2((a * np.cross(b, c)).sum(1), denominator))
 
 
-def _margin(points: np.ndarray, normal: np.ndarray, offset: float, com: np.ndarray) -> float:
-    """Distance (m) of the com's foot from the edge of the points touching the facet's plane."""
-    touching = points[points @ normal + offset > -2e-4]
+def _supporting(hull: ConvexHull, facet: int, config: RestingConfig) -> np.ndarray:
+    """Points that carry the object on a facet.
+
+    A hull with few vertices can turn a flat face into several facets, tilted by a few
+    degrees: the object rocks between them, but it does not leave the face.
+    """
+    normal, offset = hull.equations[facet, :3], hull.equations[facet, 3]
+    touching = hull.points[hull.vertices] @ normal + offset > -config.touching
+    flat = hull.equations[:, :3] @ normal > np.cos(config.same_face)
+    return hull.points[np.union1d(hull.vertices[touching], hull.simplices[flat])]
+
+
+def _margin(support: np.ndarray, normal: np.ndarray, com: np.ndarray) -> float:
+    """Distance (m) of the com's foot from the edge of the points that carry the object."""
     axes = np.linalg.svd(normal[None])[2][1:]
     try:
-        polygon = ConvexHull(touching @ axes.T).equations
+        polygon = ConvexHull(support @ axes.T).equations
     except Exception:  # a support without area carries nothing
         return -np.inf
     return float(-(polygon[:, :2] @ (axes @ com) + polygon[:, 2]).max())

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mjx_grasp.geometry.closest import closest_on_mesh, closest_on_triangle
+from mjx_grasp.objects.parametric import stand_in
 
 COORDINATE = st.floats(-1.0, 1.0, width=32)
 
@@ -56,9 +57,7 @@ def test_agrees_with_trimesh(shape):
     elif shape == "box":
         mesh = trimesh.creation.box(extents=[0.1, 0.04, 0.16])
     else:
-        from mjx_grasp.objects.model import load_object
-
-        mesh = load_object("mug").mesh
+        mesh = stand_in("mug", 1.0)
     points = rng.uniform(mesh.bounds[0] * 1.5, mesh.bounds[1] * 1.5, (150, 3))
     found = closest_on_mesh(np.float32(points), np.float32(mesh.triangles), tile=64)
     expected, distance, _ = trimesh.proximity.closest_point_naive(mesh, points)

@@ -18,10 +18,10 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 
 SMALL = {
-    "sampling": SamplingConfig(poses_per_round=16, candidates_per_pose=3),
-    "ik": IkConfig(library_size=4000, restarts=4),
+    "sampling": SamplingConfig(poses_per_round=16, candidates_per_pose=2),
+    "ik": IkConfig(library_size=4000, restarts=3),
 }
-WANTED = 16
+WANTED = 12
 
 
 def settings(tmp_path_factory, **changes):

@@ -12,7 +12,7 @@ All of them start from one state, taken from a running training after `--warm-up
 that fingers hold objects and contacts are what a training meets. Medians of `--repeats` runs;
 compilation is timed apart.
 
-  python benchmarks/throughput.py --objects train --objects-dir DIR --handoffs FILE --out FILE.json
+  python benchmarks/throughput.py --objects-dir DIR --handoffs FILE --out FILE.json
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ import tyro
 from brax.training import acting
 from brax.training.agents.ppo import networks
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning import ppo
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
@@ -52,12 +52,12 @@ class BenchmarkConfig:
 
     handoffs: Path
     out: Path
-    objects: tuple[str, ...] = ("train",)
+    objects: tuple[str, ...] = ("train", "pitcher_base_scaled")
     objects_dir: Path | None = None
     settings: tuple[str, ...] = ("1024x64", "8192x16")
     """Worlds x unroll."""
     warm_up: int = 6
-    """PPO iterations before anything is timed; 1,600 s of simulated time at 1024x64."""
+    """PPO iterations before anything is timed."""
     repeats: int = 5
     ticks: int = 64
     """Control ticks of a timed run of warp, mjx and task."""
@@ -211,17 +211,33 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
     }
 
 
+def throughput_rows(details: list[dict[str, Any]]) -> list[ThroughputRow]:
+    """The timings as rows of a results file."""
+    loops = {"ppo": "ppo", "task": "env", "mjx": "physics", "warp": "mujoco_warp"}
+    return [
+        ThroughputRow(
+            loop=loop,
+            engine="mjx",
+            worlds=d["worlds"],
+            objects=d["objects"],
+            control_steps_per_s=d["control_steps_per_s"][name],
+            memory_gib=d["peak_bytes"] / 2**30 if name == "ppo" and d["peak_bytes"] else None,
+        )
+        for d in details
+        for name, loop in loops.items()
+    ]
+
+
 def main(config: BenchmarkConfig) -> None:
-    """Measures, prints a table and writes the file after each setting."""
-    rows = []
+    """Measures, prints each setting and writes the file after each of them."""
+    details = []
     for setting in config.settings:
         worlds, unroll = (int(x) for x in setting.split("x"))
-        rows.append(measure(config, worlds, unroll))
-        print(json.dumps(rows[-1], indent=1), flush=True)
-        with replacing(config.out) as temporary:
-            temporary.write_text(
-                json.dumps({"rows": rows, "provenance": provenance(config.seed)}, indent=1)
-            )
+        details.append(measure(config, worlds, unroll))
+        print(json.dumps(details[-1], indent=1), flush=True)
+        write_results(
+            config.out, throughput_rows(details), provenance(config.seed), details=details
+        )
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluate import EvaluateConfig, eligible, evaluate, states_of
+from mjx_grasp.evaluate import EvaluateConfig, eligible, evaluate, shipped_handoffs, states_of
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -67,7 +67,7 @@ def main(config: ComparisonConfig) -> None:
     """Runs the comparison."""
     console = Console(stderr=True)
     policy = load_policy(config.policy or asset_path("policy.npz"))
-    stored = load_handoffs(config.handoffs or asset_path("handoffs.npz"))
+    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if not names:

@@ -37,6 +37,7 @@ from mjx_grasp.evaluation.tables import (
 )
 
 ROOT = Path(__file__).resolve().parent.parent
+RUNS_SCHEMA = "mjx_grasp.training_runs/1"
 NOTHING = "_No results file yet._"
 EXPLANATION = (
     "Success in %, with 95 % intervals of the trials in brackets; force is the net contact force "
@@ -71,6 +72,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         },
         root / "experiments" / "README.md": {
             "tables": _all_tables(results),
+            "runs": _runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "files": _provenance(files).markdown() if files else NOTHING,
         },
     }
@@ -136,6 +138,34 @@ def _throughput(paths: Sequence[Path]) -> str:
     if not paths:
         return NOTHING
     return throughput_table([read_results(p, ThroughputRow) for p in paths]).markdown()
+
+
+def _runs(paths: Sequence[Path]) -> str:
+    """One line per training run."""
+    rows = [r for path in paths for r in json.loads(path.read_text())["rows"]]
+    if not rows:
+        return NOTHING
+    lines = tuple(
+        (
+            r["run"],
+            str(r["provenance"]["device"]),
+            f"{r['worlds']:,} × {r['unroll']}",
+            r["residual"],
+            "privileged" if r["privileged_critic"] else "66 observations",
+            str(r["seed"]),
+            f"{r['env_steps'] / 1e6:.1f}",
+            f"{r['seconds_with_compilation']:.0f}",
+            f"{r['steps_per_s']:,.0f}",
+            f"{r['training_success_percent']:.1f}",
+            f"{r['training_force_n']:.1f}",
+        )
+        for r in rows
+    )
+    header = (
+        *("run", "device", "worlds × unroll", "residual", "critic sees", "seed"),
+        *("M steps", "s", "steps/s", "success %", "force N"),
+    )
+    return Table("Training runs", header, lines, names=5).markdown()
 
 
 def _provenance(paths: Sequence[Path]) -> Table:

@@ -19,7 +19,7 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.provenance import provenance
 from mjx_grasp.viz.report import write_report
-from mjx_grasp.viz.trajectory import record_world, save_trajectory
+from mjx_grasp.viz.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
 if TYPE_CHECKING:
@@ -69,7 +69,9 @@ def evaluate_and_report(
     console.print(success_table(rows + before))
 
     video, problem = folder / "grasp.mp4", None
-    save_trajectory(folder / "grasp.npz", best_grasp(held_out, states, policy, base.seed))
+    save_trajectory(
+        folder / "grasp.npz", best_grasp(held_out, states.object_names[0], policy, base.seed)
+    )
     try:
         render_in_subprocess(VideoConfig(folder / "grasp.npz", out=video))
     except RenderError as error:
@@ -84,11 +86,17 @@ def evaluate_and_report(
     console.print(f"report: {folder / 'report.html'}")
 
 
-def best_grasp(world: World, states: HandoffSet, policy: Policy, seed: int):
-    """A recorded episode of the policy, a successful one if there is any among eight."""
+def best_grasp(world: World, name: str, policy: Policy, seed: int) -> Trajectory:
+    """A recorded episode of the policy on an object, a successful one if there is any among eight.
+
+    Args:
+        world: Scene and start states.
+        name: An object with start states.
+        policy: The policy.
+        seed: Of the starts.
+    """
     task, noise = policy_task(policy), StartNoise()
     env = world.env("mujoco", 8, task, noise, with_privileged=False)
-    name = states.object_names[0]
     draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
     trials, qpos = record_trials(env, lambda obs: policy(obs["state"]), draw)
     best = int(np.argmax(trials.success))

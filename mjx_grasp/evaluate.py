@@ -143,6 +143,11 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
     )
 
 
+def shipped_handoffs(objects_dir: Path | None) -> Path:
+    """The shipped handoff set of the eight: for real scans with a folder, else for stand-ins."""
+    return asset_path("handoffs_standins.npz" if objects_dir is None else "handoffs_scans.npz")
+
+
 def eligible(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
     """Splits objects into those with start states and those without."""
     have = set(np.asarray(handoffs.object_names)[np.unique(handoffs.object_index)])
@@ -164,7 +169,7 @@ def main(config: EvaluateConfig) -> None:
     policy = None
     if config.controller == "policy":
         policy = load_policy(config.policy or asset_path("policy.npz"))
-    stored = load_handoffs(config.handoffs or asset_path("handoffs.npz"))
+    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if without:

@@ -79,10 +79,13 @@ def test_points_of_the_surface_are_their_own_nearest():
 
 
 def test_degenerate_triangles_stay_finite_and_exact():
-    segment = np.float32([[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    ends = np.float32([[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    # In any order of the corners, with one in the middle or two the same.
+    segments = [ends[[0, 1, 2]], ends[[0, 2, 1]], ends[[0, 0, 2]], ends[[0, 2, 2]], ends[[0, 2, 0]]]
     dot = np.float32([[1, 1, 1]] * 3)
     for point in np.float32([[0, 0, 0], [0.5, 1, 0], [3, 0, 1], [-1, 0, 0]]):
-        on_segment, _ = closest_on_triangle(point, segment)
         on_dot, weights = closest_on_triangle(point, dot)
-        assert np.allclose(on_segment, [np.clip(point[0], 0, 2), 0, 0], atol=1e-6)
+        for segment in segments:
+            on_segment, _ = closest_on_triangle(point, segment)
+            assert np.allclose(on_segment, [np.clip(point[0], 0, 2), 0, 0], atol=1e-6)
         assert np.allclose(on_dot, 1) and np.isfinite(weights).all()

@@ -1,0 +1,96 @@
+"""Keeps one row per training run: setting, speed, and where success and force ended.
+
+  python experiments/collect_runs.py runs/A runs/B
+
+adds the runs to `experiments/results/training_runs.json`; a run that is there already is replaced.
+Success and force here are those of the training's own episodes, with exploration noise.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError
+from mjx_grasp.provenance import provenance
+
+SCHEMA = "mjx_grasp.training_runs/1"
+_LAST = 20  # iterations that the final figures are averaged over
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """Which runs to add."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of finished runs."""
+    out: Path = Path("experiments/results/training_runs.json")
+
+
+def run_row(folder: Path) -> dict[str, Any]:
+    """The row of a run.
+
+    Raises:
+        FileError: The folder lacks a run's files, or the run is not finished.
+    """
+    try:
+        config = json.loads((folder / "config.json").read_text())
+        made = json.loads((folder / "provenance.json").read_text())
+        with (folder / "metrics.csv").open(newline="") as stream:
+            metrics = list(csv.DictReader(stream))
+    except (OSError, ValueError) as error:
+        raise FileError(
+            folder, f"no finished run ({error})", "config, provenance, metrics"
+        ) from None
+    ppo = config["ppo"]
+    if len(metrics) != ppo["iterations"]:
+        raise FileError(folder, f"{len(metrics)} iterations", f"all {ppo['iterations']} of them")
+
+    def last(name: str) -> float:
+        return float(np.nanmean([float(r[name]) for r in metrics[-_LAST:]]))
+
+    return {
+        "run": folder.name,
+        "preset": config["preset"],
+        "engine": config["engine"],
+        "worlds": ppo["worlds"],
+        "unroll": ppo["unroll"],
+        "residual": config["task"]["residual"],
+        "privileged_critic": ppo["privileged_critic"],
+        "seed": config["seed"],
+        "objects": config["objects"],
+        "solver_iterations": config["scene"]["solver_iterations"],
+        "env_steps": int(float(metrics[-1]["env_steps"])),
+        "seconds_with_compilation": float(metrics[-1]["seconds"]),
+        "steps_per_s": float(np.median([float(r["steps_per_s"]) for r in metrics])),
+        "training_success_percent": 100.0 * last("success"),
+        "training_force_n": last("force_n"),
+        "return": last("return"),
+        "broken_worlds": sum(float(r["broken_worlds"]) for r in metrics),
+        "overflows": sum(float(r["overflows"]) for r in metrics),
+        "provenance": made,
+    }
+
+
+def main(config: CollectConfig) -> None:
+    """Adds the runs and prints the table."""
+    rows: dict[str, dict[str, Any]] = {}
+    if config.out.exists():
+        rows = {r["run"]: r for r in json.loads(config.out.read_text())["rows"]}
+    rows |= {folder.name: run_row(folder) for folder in config.runs}
+    document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
+    with replacing(config.out) as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n")
+    print(f"{len(rows)} runs in {config.out}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(CollectConfig, description=__doc__)))

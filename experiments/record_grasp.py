@@ -1,0 +1,55 @@
+"""Records a grasp of the policy in native MuJoCo and renders it: the README's picture.
+
+python experiments/record_grasp.py --object tomato_soup_can --objects-dir DIR --out docs/grasp.gif
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from mjx_grasp.after_training import best_grasp
+from mjx_grasp.assets import asset_path
+from mjx_grasp.cli import run_command
+from mjx_grasp.closing.assemble import build_scene_of, build_world
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.evaluate import shipped_handoffs, states_of
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.viz.trajectory import save_trajectory
+from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
+
+
+@dataclass(frozen=True)
+class RecordConfig:
+    """What to record."""
+
+    out: Path = Path("docs/grasp.gif")
+    """.gif (at most 2 MB), .mp4 or .png."""
+    object: str = "tomato_soup_can"
+    objects_dir: Path | None = None
+    """Folder of real scans; the parametric stand-in without one."""
+    policy: Path | None = None
+    """Policy file; the shipped one by default."""
+    seed: int = 0
+
+
+def main(config: RecordConfig) -> None:
+    """Records and renders."""
+    policy = load_policy(config.policy or asset_path("policy.npz"))
+    scene = build_scene_of([config.object], config.objects_dir, SceneConfig())
+    stored = load_handoffs(shipped_handoffs(config.objects_dir))
+    world = build_world(scene, states_of(stored, [config.object], "evaluation"), ClosingConfig())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "grasp.npz"
+        save_trajectory(path, best_grasp(world, config.object, policy, config.seed))
+        render_in_subprocess(VideoConfig(path, out=config.out, width=480, height=360))
+    print(f"wrote {config.out}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(RecordConfig, description=__doc__)))

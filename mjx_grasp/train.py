@@ -88,7 +88,8 @@ def preset_config(preset: Preset) -> TrainConfig:
     if preset == "cpu":
         return TrainConfig(
             preset="cpu",
-            objects=("foam_brick",),
+            objects=("tomato_soup_can",),
+            handoffs_per_object=192,
             engine="mujoco",
             ppo=PPOConfig(worlds=128, unroll=32, iterations=240),
         )
@@ -98,7 +99,7 @@ def preset_config(preset: Preset) -> TrainConfig:
         return TrainConfig(
             preset="paper",
             engine="mjx" if has_gpu() else "mujoco",
-            task=ClosingConfig(residual="integrated"),
+            task=ClosingConfig(residual="integrated", lift_delay_s=0.0, grip_together=False),
             ppo=PPOConfig(worlds=1024, unroll=64, iterations=470, privileged_critic=False),
         )
     raise InputError("--preset", preset, "auto, cpu, gpu or paper")

@@ -40,9 +40,9 @@ class SceneConfig:
     """Contact time constant [s] and damping ratio."""
     solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)
     """Contact impedance: two levels [-] and the width between them [m]."""
-    solver_iterations: int = 8
+    solver_iterations: int = 20
     """Most Newton iterations of a step; on a GPU all worlds wait for the one that needs most."""
-    line_search_iterations: int = 10
+    line_search_iterations: int = 20
     table_centre: tuple[float, float] = (0.35, 0.0)
     """Centre of the table top in the arm's base frame [m]."""
     table_half_size: tuple[float, float, float] = (0.65, 0.70, 0.02)

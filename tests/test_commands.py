@@ -1,0 +1,125 @@
+"""The commands as a user types them: handoffs, train, evaluate, resume, and their refusals."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.train import parse, preset_config, stored_config
+
+TINY = (
+    *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
+    *("--ppo.unroll", "4", "--ppo.iterations", "2", "--task.episode-s", "0.3"),
+)
+
+
+def command(module: str, *arguments: str | Path) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", f"mjx_grasp.{module}", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=400,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run of two iterations on the brick's stand-in, handoffs made on the way."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    done = command("train", "--preset", "cpu", *TINY, "--handoffs-per-object", "8", "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_a_training_leaves_everything_behind(trained):
+    present = {p.name for p in trained.iterdir()}
+    assert present >= {
+        *("config.json", "provenance.json", "metrics.csv", "policy.npz", "handoffs.npz"),
+        *("results.json", "report.html", "checkpoints", "tensorboard", "grasp.npz"),
+    }
+    assert len((trained / "metrics.csv").read_text().splitlines()) == 3
+    assert load_policy(trained / "policy.npz").meta["objects"] == ["foam_brick"]
+    assert len(load_handoffs(trained / "handoffs.npz")) == 8
+    rows = read_results(trained / "results.json").rows
+    assert [(r.controller, r.squeeze_force_n) for r in rows] == [
+        *(("policy", None), ("squeeze", 3.0), ("squeeze", 5.0), ("squeeze", 1.0)),
+    ]
+    assert "foam" in (trained / "report.html").read_text()
+
+
+def test_a_finished_run_resumes_to_the_same_policy(trained):
+    before = (trained / "policy.npz").read_bytes()
+    config = json.loads((trained / "config.json").read_text())
+    (trained / "config.json").write_text(json.dumps(config | {"evaluation_episodes": 0}))
+    done = command("train", "--resume", trained)
+    assert done.returncode == 0, done.stderr
+    assert "resumed from iteration_00000002" in done.stderr
+    assert (trained / "policy.npz").read_bytes() == before
+
+
+def test_a_run_is_never_overwritten(trained):
+    done = command("train", "--preset", "cpu", *TINY, "--out", trained)
+    assert done.returncode == 2
+    assert "a run that is already there" in done.stderr
+
+
+def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
+    out = tmp_path / "squeeze.json"
+    done = command(
+        *("evaluate", "--controller", "squeeze", "--squeeze-force", "4", "--objects"),
+        *("foam_brick", "--episodes", "3", "--handoffs", trained / "handoffs.npz"),
+        *("--states", "all", "--offset-mm", "2", "--angle-deg", "3", "--friction", "0.6"),
+        *("--seed", "5", "--out", out),
+    )
+    assert done.returncode == 0, done.stderr
+    results = read_results(out)
+    (row,) = results.rows
+    assert (row.object, row.episodes, row.squeeze_force_n) == ("foam_brick", 3, 4.0)
+    assert (row.offset_mm, row.angle_deg, row.friction, row.handoffs) == (2.0, 3.0, 0.6, "ik")
+    assert row.successes + row.never_lifted + row.not_held + row.slipped == 3
+    assert results.provenance["seed"] == 5
+    assert results.provenance["command"].startswith("python -m mjx_grasp.evaluate --controller")
+
+
+def test_evaluate_refuses_before_anything_long(trained, tmp_path):
+    out = tmp_path / "x.json"
+    for arguments, text in (
+        (("--objects", "foam_brik"), "foam_brick"),
+        (("--policy", tmp_path / "none.npz"), "no such file"),
+        (("--handoffs", trained / "policy.npz", "--objects", "foam_brick"), "policy.npz"),
+    ):
+        done = command("evaluate", *arguments, "--out", out)
+        assert done.returncode == 2, done.stderr
+        assert text in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not out.exists()
+
+
+def test_presets_differ_as_they_say():
+    paper = preset_config("paper")
+    assert (paper.ppo.worlds, paper.ppo.unroll, paper.ppo.iterations) == (1024, 64, 470)
+    assert paper.task.residual == "integrated"
+    assert not paper.ppo.privileged_critic
+    assert paper.ppo.iterations * paper.ppo.steps_per_iteration == 30_801_920
+    cpu = preset_config("cpu")
+    assert cpu.engine == "mujoco"
+    assert len(cpu.objects) == 1
+    with pytest.raises(InputError, match="GPU"):
+        preset_config("gpu")
+    with pytest.raises(InputError, match="huge"):
+        parse(["--preset", "huge"])
+
+
+def test_resume_takes_no_other_flag(tmp_path):
+    with pytest.raises(InputError, match="no other flag"):
+        parse(["--resume", str(tmp_path), "--seed", "3"])
+    with pytest.raises(FileError, match=r"config\.json"):
+        stored_config(tmp_path)

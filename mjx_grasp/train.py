@@ -88,7 +88,7 @@ def preset_config(preset: Preset) -> TrainConfig:
     if preset == "cpu":
         return TrainConfig(
             preset="cpu",
-            objects=("tomato_soup_can",),
+            objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",
             ppo=PPOConfig(worlds=128, unroll=32, iterations=240),

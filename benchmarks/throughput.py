@@ -8,6 +8,8 @@ For each number of worlds it times, on the same device in the same process:
   rollout    the same with the policy, resets and the record of transitions
   ppo        whole PPO iterations: rollout and updates
 
+and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
+
 All of them start from one state, taken from a running training after `--warm-up` iterations, so
 that fingers hold objects and contacts are what a training meets. Medians of `--repeats` runs;
 compilation is timed apart.
@@ -62,7 +64,8 @@ class BenchmarkConfig:
     ticks: int = 64
     """Control ticks of a timed run of warp, mjx and task."""
     seed: int = 0
-    scene: SceneConfig = field(default_factory=SceneConfig)
+    scene: SceneConfig = field(default_factory=lambda: SceneConfig(fix_idle_fingers=True))
+    """As in the gpu preset."""
 
 
 def median_seconds(run: Callable[[], Any], repeats: int) -> float:
@@ -83,8 +86,14 @@ def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
     return jitted, time.perf_counter() - start
 
 
-def plain_warp(physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats: int) -> float:
-    """Seconds per control tick of MuJoCo Warp alone, replaying one CUDA graph per tick."""
+def plain_warp(
+    physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats: int
+) -> tuple[float, dict[str, float]]:
+    """MuJoCo Warp alone, replaying one CUDA graph per tick.
+
+    Returns:
+        Seconds per control tick, and the milliseconds of a physics step's parts (GPU only).
+    """
     import mujoco.mjx.third_party.mujoco_warp as mjw
     import warp as wp
 
@@ -116,7 +125,30 @@ def plain_warp(physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats
         wp.synchronize()
 
     run()
-    return median_seconds(run, repeats) / ticks
+    seconds = median_seconds(run, repeats) / ticks
+    return seconds, traced(lambda: mjw.step(m, d)) if wp.get_device().is_cuda else {}
+
+
+def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
+    """Median milliseconds of each part of a physics step, by MuJoCo Warp's event trace."""
+    import warp as wp
+    from mujoco.mjx.third_party.mujoco_warp._src.warp_util import EventTracer
+
+    times: dict[str, list[float]] = {}
+
+    def collect(trace: dict, prefix: str = "") -> None:
+        for name, (events, inner) in trace.items():
+            times.setdefault(prefix + name, []).append(sum(events))
+            collect(inner, f"{prefix}{name}/")
+
+    with EventTracer(enabled=True) as tracer:
+        with wp.ScopedCapture() as capture:
+            step()
+        for _ in range(repeats):
+            wp.capture_launch(capture.graph)
+            wp.synchronize()
+            collect(tracer.trace())
+    return {name: statistics.median(ms) for name, ms in times.items()}
 
 
 def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]:
@@ -186,7 +218,9 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
         jitted, compile_s[name] = compiled(function, argument)
         run = lambda f=jitted, x=argument: f(x)  # noqa: E731
         seconds[name] = median_seconds(run, config.repeats) / ticks
-    seconds["warp"] = plain_warp(physics, inner.physics, inner.params, config.ticks, config.repeats)
+    seconds["warp"], trace_ms = plain_warp(
+        physics, inner.physics, inner.params, config.ticks, config.repeats
+    )
     rates = {name: worlds / s for name, s in seconds.items()}
     memory = jax.devices()[0].memory_stats() or {}
     return {
@@ -197,6 +231,7 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
         "control_steps_per_s": rates,
         "ms_per_control_tick": {name: 1e3 * s for name, s in seconds.items()},
         "ratio_ppo_to_warp": rates["ppo"] / rates["warp"],
+        "warp_step_trace_ms": trace_ms,
         "compile_s": compile_s,
         "bytes_per_world": bytes_per_world(scene, unroll),
         "peak_bytes": memory.get("peak_bytes_in_use"),

@@ -18,6 +18,8 @@ from mjx_grasp.evaluation.trials import paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.report import write_report
 from mjx_grasp.viz.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
@@ -41,7 +43,9 @@ def evaluate_and_report(
         console: For progress and the table.
     """
     policy = load_policy(folder / "policy.npz")
-    held_out = build_world(world.scene, states, ClosingConfig())
+    every_joint = replace(config.scene, fix_idle_fingers=False)
+    scene = build_scene(world.scene.objects, load_robot(), every_joint)
+    held_out = build_world(scene, states, ClosingConfig())
     base = EvaluateConfig(
         out=folder / "results.json",
         episodes=config.evaluation_episodes,

@@ -88,13 +88,19 @@ def preset_config(preset: Preset) -> TrainConfig:
     if preset == "cpu":
         return TrainConfig(
             preset="cpu",
+            scene=SceneConfig(fix_idle_fingers=True),
             objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",
             ppo=PPOConfig(worlds=128, unroll=32, iterations=240),
         )
     if preset == "gpu":
-        return TrainConfig(preset="gpu", fit_memory=True, ppo=PPOConfig(unroll=16, iterations=240))
+        return TrainConfig(
+            preset="gpu",
+            fit_memory=True,
+            scene=SceneConfig(fix_idle_fingers=True),
+            ppo=PPOConfig(unroll=16, iterations=240),
+        )
     if preset == "paper":
         return TrainConfig(
             preset="paper",

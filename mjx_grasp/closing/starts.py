@@ -15,6 +15,7 @@ from mjx_grasp.closing.guidance import goal_frame
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.robot.mjcf import joint_columns
 from mjx_grasp.sim.physics import Readings, WorldParams, make_params
 from mjx_grasp.sim.scene import Scene
 
@@ -78,12 +79,13 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
         lookup.append(k)
     at, model = scene.addresses, scene.model
     n = len(handoffs.object_index)
+    q = _robot_joints(scene, handoffs)
     qpos = np.zeros((n, model.nq))
-    qpos[:, at.robot_qpos] = handoffs.q
+    qpos[:, at.robot_qpos] = q
     qpos[:, at.object_qpos[:3]] = handoffs.object_pos
     qpos[:, at.object_qpos[3:]] = handoffs.object_quat
     ctrl = np.zeros((n, model.nu))
-    ctrl[:, at.robot_ctrl] = handoffs.q
+    ctrl[:, at.robot_ctrl] = q
     readings = _start_readings(scene, qpos, substeps)
     normals = jnp.asarray(handoffs.target_normal, jnp.float32)
     return StartTable(
@@ -166,6 +168,19 @@ def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Ar
 def draw_params(starts: StartTable, draw: StartDraw) -> WorldParams:
     """The engine's parameters for a draw."""
     return make_params(starts.object_index[draw.row], draw.friction, draw.mass_scale)
+
+
+def _robot_joints(scene: Scene, handoffs: HandoffSet) -> np.ndarray:
+    """The states' joints in the scene's robot order; joints fixed there have to be at zero."""
+    columns = joint_columns(scene.robot)
+    fixed = np.setdiff1d(np.arange(handoffs.q.shape[1]), columns)
+    if len(fixed) and np.abs(handoffs.q[:, fixed]).max() > 1e-6:
+        raise InputError(
+            "SceneConfig.fix_idle_fingers",
+            "handoff states with bent idle fingers",
+            "idle fingers at zero, or fix_idle_fingers off",
+        )
+    return handoffs.q[:, columns]
 
 
 def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:

@@ -31,8 +31,10 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 import tyro
 import yaml
+from jaxtyping import Int
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.atomic import replacing
@@ -290,9 +292,22 @@ def robot_mjspec(spec: RobotSpec) -> mujoco.MjSpec:
     """The robot's MJCF as an editable specification, for a scene to build on.
 
     Args:
-        spec: The robot's description.
+        spec: The robot's description. Joints of the MJCF that it does not name are fixed at zero.
     """
-    return mujoco.MjSpec.from_file(str(spec.mjcf))
+    editable = mujoco.MjSpec.from_file(str(spec.mjcf))
+    fixed = {joint.name for joint in editable.joints} - set(spec.joints)
+    for actuator in list(editable.actuators):
+        if actuator.target in fixed:
+            editable.delete(actuator)
+    for name in fixed:
+        editable.delete(editable.joint(name))
+    return editable
+
+
+def joint_columns(spec: RobotSpec) -> Int[np.ndarray, " n"]:
+    """Where the spec's joints stand among all joints of its MJCF."""
+    names = [joint.name for joint in mujoco.MjSpec.from_file(str(spec.mjcf)).joints]
+    return np.array([names.index(joint) for joint in spec.joints])
 
 
 @dataclass(frozen=True)

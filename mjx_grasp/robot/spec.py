@@ -7,7 +7,7 @@ checks one and prints what it understood.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -98,6 +98,28 @@ class RobotSpec:
     def velocity_limits(self) -> tuple[float, ...]:
         """Velocity limits, rad/s, one per joint."""
         return self.arm.velocity_limits + (self.hand.velocity_limit,) * len(self.hand.joints)
+
+    def without_idle_fingers(self) -> RobotSpec:
+        """The same robot with the joints of fingers that take no part in a grasp fixed at zero.
+
+        Fewer degrees of freedom are faster to simulate. The MJCF stays; `robot_mjspec` drops the
+        joints that are not named here.
+
+        Raises:
+            InputError: Such a joint is not at zero in the open posture.
+        """
+        active = {joint for finger in self.hand.fingers for joint in finger.joints}
+        kept = [i for i, joint in enumerate(self.hand.joints) if joint in active]
+        posture = dict(zip(self.hand.joints, self.hand.open_posture, strict=True))
+        bent = {j: angle for j, angle in posture.items() if j not in active and angle != 0.0}
+        if bent:
+            raise InputError("hand.open_posture", bent, "idle fingers at zero, to be fixed there")
+        hand = replace(
+            self.hand,
+            joints=tuple(self.hand.joints[i] for i in kept),
+            open_posture=tuple(self.hand.open_posture[i] for i in kept),
+        )
+        return replace(self, hand=hand)
 
 
 def load_robot(name: str | Path = "rizon4_hx5d20") -> RobotSpec:

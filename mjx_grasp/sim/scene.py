@@ -43,6 +43,9 @@ class SceneConfig:
     solver_iterations: int = 20
     """Most Newton iterations of a step; on a GPU all worlds wait for the one that needs most."""
     line_search_iterations: int = 20
+    fix_idle_fingers: bool = False
+    """Whether fingers that take no part in a grasp are rigid. Faster, and for training only:
+    evaluation moves every joint."""
     table_centre: tuple[float, float] = (0.35, 0.0)
     """Centre of the table top in the arm's base frame [m]."""
     table_half_size: tuple[float, float, float] = (0.65, 0.70, 0.02)
@@ -135,6 +138,8 @@ def build_scene(
         InputError: No object, or two of the same name.
     """
     config = config or SceneConfig()
+    if config.fix_idle_fingers:
+        robot = robot.without_idle_fingers()
     names = [o.name for o in objects]
     if not names or len(set(names)) != len(names):
         raise InputError("objects", names, "one or more objects of different names")

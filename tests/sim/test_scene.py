@@ -1,8 +1,11 @@
+import dataclasses
+
 import handmade
 import mujoco
 import numpy as np
 import pytest
 
+from mjx_grasp.closing.starts import build_starts
 from mjx_grasp.errors import InputError
 from mjx_grasp.sim.scene import ObjectFields, SceneConfig, build_scene
 
@@ -158,3 +161,46 @@ def test_contact_sensors_see_the_weight_on_a_fingertip(scene, starts):
                 )
             seen += touches
     assert seen > 20
+
+
+def test_idle_fingers_can_be_fixed(scene, handmade_objects, robot):
+    fixed = build_scene(handmade_objects, robot, SceneConfig(fix_idle_fingers=True))
+    idle = set(robot.hand.joints) - {j for f in robot.hand.fingers for j in f.joints}
+    assert idle and fixed.model.nv == scene.model.nv - len(idle)
+    assert fixed.model.nu == fixed.model.nv - 6
+    assert fixed.robot.joints == tuple(j for j in robot.joints if j not in idle)
+    # Bodies and geoms stay: the idle fingers are still there to be touched.
+    assert fixed.model.nbody == scene.model.nbody and fixed.model.ngeom == scene.model.ngeom
+    np.testing.assert_allclose(fixed.model.body_mass, scene.model.body_mass)
+
+
+def test_fixed_idle_fingers_move_the_others_alike(scene, handmade_objects, robot):
+    """A scripted closing in both. The middle finger leans on the ring finger, which gives way."""
+    handoffs = handmade.handoffs(handmade_objects)
+    fixed = build_scene(handmade_objects, robot, SceneConfig(fix_idle_fingers=True))
+    driven = [robot.joints.index(j) for j in fixed.robot.joints]
+    seen = []
+    for one in (scene, fixed):
+        starts, at = build_starts(one, handoffs, 5), one.addresses
+        model = with_object(one, int(starts.object_index[0]))
+        data = posed(model, one, starts, 0)
+        for _ in range(200):
+            for f in robot.hand.fingers:
+                data.ctrl[model.actuator(f.joints[-1]).id] += 0.0008
+            mujoco.mj_step(model, data)
+        q = data.qpos[at.robot_qpos]
+        seen.append((q[driven] if one is scene else q, data.qpos[at.object_qpos]))
+    np.testing.assert_allclose(seen[0][0], seen[1][0], atol=0.015)
+    np.testing.assert_allclose(seen[0][1], seen[1][1], atol=5e-4)
+
+
+def test_bent_idle_fingers_are_refused(handmade_objects, robot):
+    handoffs = handmade.handoffs(handmade_objects)
+    bent = dataclasses.replace(handoffs, q=np.where(np.arange(27) == 26, 0.3, handoffs.q))
+    fixed = build_scene(handmade_objects, robot, SceneConfig(fix_idle_fingers=True))
+    with pytest.raises(InputError, match="fix_idle_fingers"):
+        build_starts(fixed, bent, 5)
+    posture = (*robot.hand.open_posture[:-1], 0.2)
+    crooked = dataclasses.replace(robot, hand=dataclasses.replace(robot.hand, open_posture=posture))
+    with pytest.raises(InputError, match="open_posture"):
+        build_scene(handmade_objects, crooked, SceneConfig(fix_idle_fingers=True))

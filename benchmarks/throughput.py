@@ -57,7 +57,9 @@ class BenchmarkConfig:
     objects: tuple[str, ...] = ("train", "pitcher_base_scaled")
     objects_dir: Path | None = None
     settings: tuple[str, ...] = ("1024x64", "8192x16")
-    """Worlds x unroll."""
+    """Worlds x unroll, taken apart layer by layer."""
+    sizes: tuple[str, ...] = ()
+    """Worlds x unroll of which whole PPO iterations alone are timed."""
     warm_up: int = 6
     """PPO iterations before anything is timed."""
     repeats: int = 5
@@ -151,14 +153,13 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
     return {name: statistics.median(ms) for name, ms in times.items()}
 
 
-def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]:
-    """All timings of one setting."""
+def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> dict[str, Any]:
+    """The timings of one setting: of whole PPO iterations, and of the layers below if wanted."""
     task = ClosingConfig()
     scene = build_scene_of(config.objects, config.objects_dir, config.scene)
     world = build_world(scene, load_handoffs(config.handoffs), task)
     settings = PPOConfig(worlds=worlds, unroll=unroll)
     env = BraxClosingEnv(world.env("mjx", worlds, task), worlds)
-    physics = env.env.physics
 
     state = ppo.init_state(settings, env, config.seed)
     start = time.perf_counter()
@@ -170,16 +171,49 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
         state, metrics = iteration(state)
     jax.block_until_ready(metrics)
 
-    steps = worlds * unroll
-    seconds: dict[str, float] = {}
     times = []
     for _ in range(config.repeats):
         start = time.perf_counter()
         state, metrics = iteration(state)
         jax.block_until_ready(metrics)
         times.append(time.perf_counter() - start)
-    seconds["ppo"] = statistics.median(times) / unroll
+    seconds = {"ppo": statistics.median(times) / unroll}
+    inner = state.env.pipeline_state
+    memory = jax.devices()[0].memory_stats() or {}
+    found = {
+        "worlds": worlds,
+        "unroll": unroll,
+        "objects": len(scene.objects),
+        "pieces": len(scene.addresses.object_geoms),
+        "degrees_of_freedom": int(scene.model.nv),
+        "bytes_per_world": bytes_per_world(scene, unroll),
+        "peak_bytes": memory.get("peak_bytes_in_use"),
+        "mean_constraints": float(jnp.mean(inner.readings.constraints)),
+        "max_constraints": int(jnp.max(inner.readings.constraints)),
+        "solver_iterations": [
+            config.scene.solver_iterations,
+            config.scene.line_search_iterations,
+        ],
+        "overflows": float(metrics["overflows"]),
+        "compile_s": compile_s,
+    }
+    if layers:
+        found |= _layers(config, settings, env, state, seconds, compile_s)
+    found["ms_per_control_tick"] = {name: 1e3 * s for name, s in seconds.items()}
+    found["control_steps_per_s"] = {name: worlds / s for name, s in seconds.items()}
+    return found
 
+
+def _layers(
+    config: BenchmarkConfig,
+    settings: PPOConfig,
+    env: BraxClosingEnv,
+    state: ppo.TrainState,
+    seconds: dict[str, float],
+    compile_s: dict[str, float],
+) -> dict[str, Any]:
+    """Adds the seconds per tick of every layer below PPO, from a training's state."""
+    worlds, unroll, physics = settings.worlds, settings.unroll, env.env.physics
     nets = ppo.make_networks(settings, env)
     policy = networks.make_inference_fn(nets)(
         (state.normalizer, state.params.policy, state.params.value)
@@ -221,28 +255,9 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int) -> dict[str, Any]
     seconds["warp"], trace_ms = plain_warp(
         physics, inner.physics, inner.params, config.ticks, config.repeats
     )
-    rates = {name: worlds / s for name, s in seconds.items()}
-    memory = jax.devices()[0].memory_stats() or {}
     return {
-        "worlds": worlds,
-        "unroll": unroll,
-        "objects": len(scene.objects),
-        "pieces": len(scene.addresses.object_geoms),
-        "control_steps_per_s": rates,
-        "ms_per_control_tick": {name: 1e3 * s for name, s in seconds.items()},
-        "ratio_ppo_to_warp": rates["ppo"] / rates["warp"],
+        "ratio_ppo_to_warp": seconds["warp"] / seconds["ppo"],
         "warp_step_trace_ms": trace_ms,
-        "compile_s": compile_s,
-        "bytes_per_world": bytes_per_world(scene, unroll),
-        "peak_bytes": memory.get("peak_bytes_in_use"),
-        "mean_constraints": float(jnp.mean(inner.readings.constraints)),
-        "max_constraints": int(jnp.max(inner.readings.constraints)),
-        "solver_iterations": [
-            config.scene.solver_iterations,
-            config.scene.line_search_iterations,
-        ],
-        "overflows": float(metrics["overflows"]),
-        "steps_per_iteration": steps,
     }
 
 
@@ -260,15 +275,17 @@ def throughput_rows(details: list[dict[str, Any]]) -> list[ThroughputRow]:
         )
         for d in details
         for name, loop in loops.items()
+        if name in d["control_steps_per_s"]
     ]
 
 
 def main(config: BenchmarkConfig) -> None:
     """Measures, prints each setting and writes the file after each of them."""
     details = []
-    for setting in config.settings:
-        worlds, unroll = (int(x) for x in setting.split("x"))
-        details.append(measure(config, worlds, unroll))
+    # Ascending: the peak of memory is that of the process so far.
+    pairs = {tuple(map(int, s.split("x"))): s for s in (*config.sizes, *config.settings)}
+    for (worlds, unroll), setting in sorted(pairs.items()):
+        details.append(measure(config, worlds, unroll, layers=setting in config.settings))
         print(json.dumps(details[-1], indent=1), flush=True)
         write_results(
             config.out, throughput_rows(details), provenance(config.seed), details=details

@@ -11,9 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.handoff.config import HandoffConfig
-from mjx_grasp.handoff.dataset import HandoffSet, merge
+from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
-from mjx_grasp.handoff.report import ObjectReport, report_table, write_report
+from mjx_grasp.handoff.report import ObjectReport, read_report, report_table, write_report
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.provenance import provenance
@@ -34,12 +34,16 @@ def make_handoffs(
 
     Raises:
         InputError: An unknown object or robot, or a robot that does not reach the table.
-        FileError: An object's scan or the robot's description cannot be read.
+        FileError: An object's scan, the robot's description or the set to update cannot be read.
     """
     names = resolve(config.objects)
+    sets, reports, earlier = [], [], None
+    if config.update is not None:
+        before = load_handoffs(config.update)
+        earlier = read_report(config.update.with_suffix(".json"))
+        sets.append(before.select([n for n in before.object_names if n not in names]))
     robot = load_robot(config.robot)
     generator = HandoffGenerator(robot, config)
-    sets, reports = [], []
     with _progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)
         for done, name in enumerate(names):
@@ -57,7 +61,8 @@ def make_handoffs(
     merged = merge(sets)
     merged.save(config.out)
     settings = json.loads(json.dumps(asdict(config), default=str))
-    write_report(config.out.with_suffix(".json"), reports, provenance(config.seed), settings)
+    path = config.out.with_suffix(".json")
+    write_report(path, reports, provenance(config.seed), settings, earlier)
     return merged, reports
 
 

@@ -76,6 +76,8 @@ class HandoffConfig:
     """the handoff set to write (.npz); a report (.json) is written beside it"""
     objects: tuple[str, ...] = ("eight",)
     """object names or groups: eight, train, held_out, all"""
+    update: Path | None = None
+    """an earlier set, with its report: what it has of other objects is taken over"""
     objects_dir: Path | None = None
     """folder of real scans; parametric stand-ins without it"""
     robot: str = "rizon4_hx5d20"

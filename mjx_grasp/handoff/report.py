@@ -13,6 +13,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from mjx_grasp.atomic import replacing
+from mjx_grasp.errors import FileError
 from mjx_grasp.handoff.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
@@ -93,8 +94,27 @@ def report_table(reports: Sequence[ObjectReport]) -> Table:
     return table
 
 
+def read_report(path: Path) -> dict[str, Any]:
+    """A report that `write_report` wrote.
+
+    Raises:
+        FileError: There is none, or it is damaged.
+    """
+    try:
+        document = json.loads(path.read_text())
+        return {key: document[key] for key in ("provenance", "objects")} | {
+            "earlier": document.get("earlier", [])
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileError(path, f"no report ({error!r})", "the report beside a handoff set") from None
+
+
 def write_report(
-    path: Path, reports: Sequence[ObjectReport], provenance: dict[str, Any], config: dict[str, Any]
+    path: Path,
+    reports: Sequence[ObjectReport],
+    provenance: dict[str, Any],
+    config: dict[str, Any],
+    earlier: dict[str, Any] | None = None,
 ) -> None:
     """Writes the reports, the settings and the run's facts as JSON, complete or not at all.
 
@@ -103,12 +123,15 @@ def write_report(
         reports: One per object.
         provenance: From `mjx_grasp.provenance.provenance`.
         config: The full configuration as JSON types.
+        earlier: The report of the set that was updated; its rows of other objects stay.
     """
-    document = {
-        "provenance": provenance,
-        "config": config,
-        "objects": [report.as_row() for report in reports],
-        "not_eligible": [report.name for report in reports if not report.eligible],
-    }
+    rows = [report.as_row() for report in reports]
+    document: dict[str, Any] = {"provenance": provenance, "config": config}
+    if earlier is not None:
+        made = {report.name for report in reports}
+        rows = [row for row in earlier["objects"] if row["name"] not in made] + rows
+        document["earlier"] = [*earlier["earlier"], earlier["provenance"]]
+    document["objects"] = rows
+    document["not_eligible"] = [row["name"] for row in rows if not row["eligible"]]
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n")

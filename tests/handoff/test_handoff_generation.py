@@ -192,6 +192,20 @@ def test_the_command_writes_a_set_and_its_report(tmp_path):
     assert report["provenance"]["seed"] == 2
     assert "foam_brick" in done.stdout and "6 states of 1 objects" in done.stdout
 
+    more = ("--objects", "gelatin_box", "--update", out, "--per-object", 4, "--out", out)
+    done = command(*more, *small)
+    assert done.returncode == 0, done.stderr
+    updated = load_handoffs(out)
+    assert updated.counts() == {"foam_brick": 6, "gelatin_box": 4}
+    np.testing.assert_array_equal(updated.select(("foam_brick",)).q, handoffs.q)
+    report_now = json.loads(out.with_suffix(".json").read_text())
+    assert [row["name"] for row in report_now["objects"]] == ["foam_brick", "gelatin_box"]
+    assert report_now["earlier"] == [report["provenance"]]
+
+    out.with_suffix(".json").unlink()
+    done = command(*more)
+    assert done.returncode == 2 and "brick.json" in done.stderr
+
 
 def test_the_command_refuses_what_it_does_not_know(tmp_path):
     done = command("--objects", "foam_brik", "--out", tmp_path / "x.npz")

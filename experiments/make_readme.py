@@ -7,11 +7,13 @@ nothing and fails if a section is stale.
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -43,6 +45,17 @@ EXPLANATION = (
     "Success in %, with 95 % intervals of the trials in brackets; force is the net contact force "
     f"per finger from lift onset. The last columns are quoted from {paper.CITATION}."
 )
+LAYERS = (
+    "Where a control tick goes, in ms, each loop holding the one before it: MuJoCo Warp alone "
+    "(CUDA graph), the same called from JAX, the task around it, the policy's own actions and "
+    "resets, PPO's updates; then parts of one physics step, of which a tick has five; then the "
+    "speed of the whole loop as a share of MuJoCo Warp's:"
+)
+_STEP_PARTS = {
+    "step": "step",
+    "collision": "step/forward/fwd_position/collision",
+    "solver": "step/forward/solve",
+}
 
 
 @dataclass(frozen=True)
@@ -137,7 +150,26 @@ def _all_tables(paths: Sequence[Path]) -> str:
 def _throughput(paths: Sequence[Path]) -> str:
     if not paths:
         return NOTHING
-    return throughput_table([read_results(p, ThroughputRow) for p in paths]).markdown()
+    files = [read_results(p, ThroughputRow) for p in paths]
+    parts = [throughput_table(files).markdown()]
+    for file in files:
+        apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
+        if apart:
+            parts += [LAYERS, _layers(apart).markdown()]
+    return "\n\n".join(parts)
+
+
+def _layers(details: Sequence[dict[str, Any]]) -> Table:
+    """Milliseconds per control tick of each loop, and of a physics step's parts."""
+    rows = []
+    for d in details:
+        tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
+        loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
+        parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
+        times = (f"{ms:.2f}" for ms in (*loops, *parts))
+        rows.append((f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
+    header = ("worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO", *_STEP_PARTS)
+    return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
 
 
 def _runs(paths: Sequence[Path]) -> str:

@@ -7,6 +7,7 @@ once: a query names its mesh, and faces are counted through all of them.
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,8 +22,10 @@ from mjx_grasp.geometry import bvh_kernels
 from mjx_grasp.geometry.curvature import tangent_basis
 
 # Launches per CPU core: enough that cores end at about the same time.
-_PARTS_PER_CORE = 4
+_PARTS_PER_CORE = 2
 _LEAST_PART = 256
+# Centroids in a leaf of their tree: fewer are found no faster, and take longer to build.
+_CENTROIDS_PER_LEAF = 8
 
 
 class MeshTrees:
@@ -41,18 +44,25 @@ class MeshTrees:
         centroids: Sequence[Float[np.ndarray, "f 3"]],
     ):
         self._device = _device()
-        self._meshes, self._trees = [], []
-        for p, f, c in zip(points, faces, centroids, strict=True):
-            corners = self._put(f.astype(np.int32).ravel(), wp.int32)
-            self._meshes.append(wp.Mesh(self._put(p, wp.vec3), corners))
-            at = self._put(c, wp.vec3)
-            self._trees.append(wp.Bvh(at, at))
+        run = _pool().map if self._device.is_cpu else map
+        # Built beside the meshes: first asked for when the rays are done.
+        trees = run(self._tree, centroids)
+        self._meshes = list(run(self._mesh, points, faces))
+        self._trees = list(trees)
         counts = [len(f) for f in faces]
         diagonals = [np.linalg.norm(np.ptp(p, axis=0)) for p in points]
         self._first_face = self._put(np.cumsum([0, *counts[:-1]]).astype(np.int32), wp.int32)
         self._diagonal = self._put(np.asarray(diagonals, np.float32), wp.float32)
         self._mesh_ids = self._ids(self._meshes)
         self._tree_ids = self._ids(self._trees)
+
+    def _mesh(self, points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
+        corners = self._put(faces.astype(np.int32).ravel(), wp.int32)
+        return wp.Mesh(self._put(points, wp.vec3), corners)
+
+    def _tree(self, centroids: np.ndarray) -> wp.Bvh:
+        at = self._put(centroids, wp.vec3)
+        return wp.Bvh(at, at, leaf_size=_CENTROIDS_PER_LEAF)
 
     def farthest_faces(
         self,
@@ -69,25 +79,33 @@ class MeshTrees:
             directions: Ray directions, unit.
             count: Rays that are asked; the rest is padding.
         """
-        return self._named_faces(bvh_kernels.farthest, count, owner, origins, directions)
+        out = wp.full(len(owner), -1, dtype=wp.int32, device=self._device)
+        inputs = [self._mesh_ids, self._first_face, self._diagonal]
+        inputs += [*map(self._take, (owner, origins, directions)), out]
+        self._launch(bvh_kernels.farthest, count, inputs)
+        return wp.to_jax(out)
 
     def nearest_faces(
         self,
         owner: Int[Array, " n"],
-        points: Float[Array, "n 3"],
-        bound: Float[Array, " n"],
-        count: int,
-    ) -> Int[Array, " n"]:
+        points: Float[Array, "k n 3"],
+        bound: Float[Array, "k n"],
+    ) -> Int[Array, "k n"]:
         """The face nearest to each point; −1 if the mesh has none with an area.
 
         Args:
-            owner: Which mesh each point is for.
-            points: Queries in [m].
-            bound: Somewhat more than a distance within which there is a face: speeds the search,
-                [m].
-            count: Points that are asked; the rest is padding.
+            owner: Which mesh each column of points is for.
+            points: Queries in [m]; those of a column are near each other, and speed each other's
+                search.
+            bound: Somewhat more than a distance within which there is a face, [m].
         """
-        return self._named_faces(bvh_kernels.nearest, count, owner, points, bound)
+        length, chains = bound.shape
+        flat = points.reshape(-1, 3), bound.reshape(-1)
+        out = wp.full(length * chains, -1, dtype=wp.int32, device=self._device)
+        inputs: list[Any] = [self._mesh_ids, self._first_face, self._diagonal]
+        inputs += [self._take(owner), *map(self._take, flat), chains, length, out]
+        self._launch(bvh_kernels.nearest, chains, inputs)
+        return wp.to_jax(out).reshape(length, chains)
 
     def normal_spread(
         self,
@@ -110,12 +128,6 @@ class MeshTrees:
         self._launch(bvh_kernels.spread, count, [*inputs, float(radius), int(min_faces), out])
         return wp.to_jax(out)
 
-    def _named_faces(self, kernel: Any, count: int, *arguments: Array) -> Array:
-        out = wp.full(len(arguments[0]), -1, dtype=wp.int32, device=self._device)
-        inputs = [self._mesh_ids, self._first_face, self._diagonal, *map(self._take, arguments)]
-        self._launch(kernel, count, [*inputs, out])
-        return wp.to_jax(out)
-
     def _launch(self, kernel: Any, count: int, inputs: list[Any]) -> None:
         """Runs a kernel; on a CPU, where Warp uses one core, in parts on all of them."""
 
@@ -127,11 +139,9 @@ class MeshTrees:
             # JAX does not know of Warp's stream.
             wp.synchronize_device(self._device)
             return
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        size = max(_LEAST_PART, -(-count // (_PARTS_PER_CORE * (cores or 1))))
+        size = max(_LEAST_PART, -(-count // (_PARTS_PER_CORE * _cores())))
         starts = range(0, count, size)
-        with ThreadPoolExecutor(cores) as pool:
-            list(pool.map(lambda start: part(start, min(size, count - start)), starts))
+        list(_pool().map(lambda start: part(start, min(size, count - start)), starts))
 
     def _put(self, array: np.ndarray, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
@@ -146,6 +156,17 @@ class MeshTrees:
 
 
 _tangents = jax.jit(tangent_basis)
+
+
+def _cores() -> int:
+    known = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    """Threads that stay: to start them takes as long as a query of a whole mesh."""
+    return ThreadPoolExecutor(_cores())
 
 
 def _device() -> Any:

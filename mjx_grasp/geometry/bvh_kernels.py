@@ -44,19 +44,32 @@ def nearest(
     owner: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3),
     bound: wp.array(dtype=float),
+    chains: int,
+    length: int,
     face: wp.array(dtype=int),
 ):
-    """The face nearest to each point, sought within a bound first; −1 if none."""
+    """The face nearest to each point of a chain; −1 if none."""
     i = start + wp.tid()
     o = owner[i]
-    query = wp.mesh_query_point_no_sign(meshes[o], points[i], bound[i])
-    if not query.result:
-        query = wp.mesh_query_point_no_sign(
-            meshes[o], points[i], wp.length(points[i]) + 2.0 * diagonal[o]
-        )
-    face[i] = -1
-    if query.result:
-        face[i] = first_face[o] + query.face
+    mesh = meshes[o]
+    slack = 1.0e-4 * diagonal[o]
+    contact = wp.vec3()
+    known = int(0)
+    for k in range(length):
+        at = k * chains + i
+        point = points[at]
+        # The last point's contact is on the mesh too: no need to look farther than that.
+        limit = bound[at]
+        if known == 1:
+            limit = wp.min(limit, wp.length(point - contact) + slack)
+        query = wp.mesh_query_point_no_sign(mesh, point, limit)
+        if not query.result:
+            query = wp.mesh_query_point_no_sign(mesh, point, wp.length(point) + 2.0 * diagonal[o])
+        face[at] = -1
+        if query.result:
+            face[at] = first_face[o] + query.face
+            contact = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+            known = 1
 
 
 @wp.func
@@ -74,6 +87,56 @@ def squared_distance(
         r = centroids[j] - point
         squared = wp.dot(r, r)
     return squared
+
+
+@wp.func
+def reach_of(
+    tree: wp.uint64,
+    offset: int,
+    point: wp.vec3,
+    normal: wp.vec3,
+    centroids: wp.array(dtype=wp.vec3),
+    face_normals: wp.array(dtype=wp.vec3),
+    areas: wp.array(dtype=float),
+    wanted: int,
+    radius: float,
+    farthest_away: float,
+):
+    """Squared distance of the ``wanted``-th nearest face, or of the last one if there are fewer."""
+    ball = radius
+    enough = int(0)
+    while enough < wanted and ball < farthest_away:
+        ball = 2.0 * ball
+        enough = int(0)
+        j = int(0)
+        query = wp.bvh_query_sphere(tree, point, ball)
+        while wp.bvh_query_next(query, j):
+            d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
+            if d >= 0.0 and d <= ball * ball:
+                enough += 1
+    # From the nearest on, distance by distance.
+    reach = float(-1.0)
+    count = int(0)
+    more = int(1)
+    while count < wanted and more == 1:
+        following = float(-1.0)
+        ties = int(0)
+        j = int(0)
+        query = wp.bvh_query_sphere(tree, point, ball)
+        while wp.bvh_query_next(query, j):
+            d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
+            if d > reach:
+                if following < 0.0 or d < following:
+                    following = d
+                    ties = int(1)
+                elif d == following:
+                    ties += 1
+        if following < 0.0:
+            more = 0
+        else:
+            reach = following
+            count += ties
+    return reach
 
 
 @wp.kernel
@@ -104,64 +167,47 @@ def spread(
     offset = first_face[o]
     slack = 1.0 + wp.static(SAME_DISTANCE)
     reach = slack * radius * radius
-    # Widened until enough faces are inside; the second round takes no more than are needed.
-    ball = radius
-    search = int(1)
-    while search == 1:
-        count = int(0)
-        j = int(0)
-        query = wp.bvh_query_sphere(trees[o], point, slack * ball)
-        while wp.bvh_query_next(query, j):
-            d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
-            if d >= 0.0 and d <= slack * ball * ball:
-                count += 1
-        if count >= min_faces or ball > wp.length(point) + 2.0 * diagonal[o]:
-            search = 0
-        else:
-            ball = 2.0 * ball
-    if ball > radius:
-        count = int(0)
-        more = int(1)
-        while count < min_faces and more == 1:
-            nearer = float(-1.0)
-            count = int(0)
-            j = int(0)
-            query = wp.bvh_query_sphere(trees[o], point, slack * ball)
-            while wp.bvh_query_next(query, j):
-                d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
-                if d >= 0.0:
-                    if d <= reach:
-                        count += 1
-                    elif nearer < 0.0 or d < nearer:
-                        nearer = d
-            if count < min_faces:
-                if nearer < 0.0:
-                    more = 0
-                else:
-                    reach = slack * nearer
-
-    # In double precision, so that large moments may be subtracted.
+    # Once as a rule; where too few faces are near, with the reach that holds enough of them.
     area = wp.float64(0.0)
     sx = wp.float64(0.0)
     sy = wp.float64(0.0)
     sxx = wp.float64(0.0)
     sxy = wp.float64(0.0)
     syy = wp.float64(0.0)
-    j = int(0)
-    query = wp.bvh_query_sphere(trees[o], point, slack * wp.sqrt(reach))
-    while wp.bvh_query_next(query, j):
-        f = offset + j
-        d = squared_distance(f, point, normal, centroids, face_normals, areas)
-        if d >= 0.0 and d <= reach:
-            a = wp.float64(areas[f])
-            x = wp.float64(wp.dot(face_normals[f], t1))
-            y = wp.float64(wp.dot(face_normals[f], t2))
-            area += a
-            sx += a * x
-            sy += a * y
-            sxx += a * x * x
-            sxy += a * x * y
-            syy += a * y * y
+    count = int(-1)
+    while count < min_faces:
+        if count >= 0:
+            wider = reach_of(
+                trees[o], offset, point, normal, centroids, face_normals, areas, min_faces,
+                radius, 2.0 * diagonal[o] + wp.length(point),
+            )  # fmt: skip
+            # As many as there are: no reach holds more.
+            min_faces = 0
+            reach = wp.max(reach, slack * wider)
+        area = wp.float64(0.0)
+        sx = wp.float64(0.0)
+        sy = wp.float64(0.0)
+        sxx = wp.float64(0.0)
+        sxy = wp.float64(0.0)
+        syy = wp.float64(0.0)
+        count = int(0)
+        j = int(0)
+        query = wp.bvh_query_sphere(trees[o], point, slack * wp.sqrt(reach))
+        while wp.bvh_query_next(query, j):
+            f = offset + j
+            d = squared_distance(f, point, normal, centroids, face_normals, areas)
+            if d >= 0.0 and d <= reach:
+                # In double precision, so that large moments may be subtracted.
+                a = wp.float64(areas[f])
+                x = wp.float64(wp.dot(face_normals[f], t1))
+                y = wp.float64(wp.dot(face_normals[f], t2))
+                area += a
+                sx += a * x
+                sy += a * y
+                sxx += a * x * x
+                sxy += a * x * y
+                syy += a * y * y
+                count += 1
     if area > wp.float64(0.0):
         mx = sx / area
         my = sy / area

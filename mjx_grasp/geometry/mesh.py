@@ -117,7 +117,7 @@ def mass_properties(
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     cross = np.cross(b - a, c - a)
     areas = 0.5 * np.linalg.norm(cross, axis=1)
-    volumes = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6.0
+    volumes = (a * np.cross(b, c)).sum(axis=1) / 6.0
     diagonal = np.linalg.norm(np.ptp(vertices, axis=0))
     closed = is_closed(faces) and volumes.sum() > 1e-9 * diagonal**3
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
@@ -128,8 +128,8 @@ def mass_properties(
         return MassProperties(origin, np.eye(3), closed)
     sums = corners.sum(axis=1)
     centre = (mass[:, None] * sums).sum(axis=0) / (k * total)
-    second = np.einsum("f,fki,fkj->ij", mass, corners, corners)
-    second = (second + np.einsum("f,fi,fj->ij", mass, sums, sums)) / (k * (k + 1) * total)
+    points = np.concatenate([a, b, c, sums])
+    second = (np.tile(mass, 4)[:, None] * points).T @ points / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
     return MassProperties(centre + origin, axes, closed)

@@ -143,7 +143,7 @@ def bvh_candidates(
         count=count,
     )
     long_axis, seeds, seed_owner, bound = _seeded(surfaces, opposing, normals, spread, config)
-    near = trees.nearest_faces(seed_owner, seeds, bound, len(seeds))
+    near = trees.nearest_faces(seed_owner, seeds, bound).reshape(-1)
     return _scored(surfaces, hits, opposing, long_axis, seeds, near, span, friction, config)
 
 
@@ -168,14 +168,15 @@ def _seeded(surfaces, opposing, normals, spread, config):
     # A seed's own o is at h from it; somewhat more, for the search takes what is strictly nearer.
     slack = 1e-3 * surfaces.diagonal[surfaces.owner]
     bound = jnp.broadcast_to((1.01 * offsets)[:, None, None] + slack, seeds.shape[:-1])
-    owner = jnp.broadcast_to(surfaces.owner, seeds.shape[:-1])
-    return long_axis, seeds.reshape(-1, 3), owner.reshape(-1), bound.reshape(-1)
+    count = len(config.wrap_offsets)
+    owner = jnp.tile(surfaces.owner, 2)
+    return long_axis, seeds.reshape(count, -1, 3), owner, bound.reshape(count, -1)
 
 
 @partial(jax.jit, static_argnames="config")
 def _scored(surfaces, hits, opposing, long_axis, seeds, face, span, friction, config):
     triangles = surfaces.vertices[surfaces.faces]
-    nearest = closest_on_face(seeds, triangles, jnp.maximum(face, 0))
+    nearest = closest_on_face(seeds.reshape(-1, 3), triangles, jnp.maximum(face, 0))
     return best_candidates(
         surfaces, hits, opposing, long_axis, nearest, face >= 0, span, friction, config
     )

@@ -75,7 +75,7 @@ def _brute(stacked, span, friction, config, at_once):
         )
         long_axis = _axes(surfaces, spread, normals, config)
         seeds = wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
-        nearest = closest_on_mesh(seeds, triangles, tile)
+        nearest = jax.lax.optimization_barrier(closest_on_mesh(seeds, triangles, tile))
         on_mesh = jnp.ones(seeds.shape[0], bool)
         return best_candidates(
             surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
@@ -144,7 +144,8 @@ def bvh_candidates(
     )
     long_axis, seeds, seed_owner, bound = _seeded(surfaces, opposing, normals, spread, config)
     near = trees.nearest_faces(seed_owner, seeds, bound).reshape(-1)
-    return _scored(surfaces, hits, opposing, long_axis, seeds, near, span, friction, config)
+    nearest = _projected(surfaces, seeds, near)
+    return _scored(surfaces, hits, opposing, long_axis, nearest, near >= 0, span, friction, config)
 
 
 @jax.jit
@@ -173,10 +174,16 @@ def _seeded(surfaces, opposing, normals, spread, config):
     return long_axis, seeds.reshape(count, -1, 3), owner, bound.reshape(count, -1)
 
 
+@jax.jit
+def _projected(surfaces, seeds, face):
+    return closest_on_face(
+        seeds.reshape(-1, 3), surfaces.vertices[surfaces.faces], jnp.maximum(face, 0)
+    )
+
+
+# Compiled apart from what comes before: each of its many terms would compute that again.
 @partial(jax.jit, static_argnames="config")
-def _scored(surfaces, hits, opposing, long_axis, seeds, face, span, friction, config):
-    triangles = surfaces.vertices[surfaces.faces]
-    nearest = closest_on_face(seeds.reshape(-1, 3), triangles, jnp.maximum(face, 0))
+def _scored(surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config):
     return best_candidates(
-        surfaces, hits, opposing, long_axis, nearest, face >= 0, span, friction, config
+        surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
     )

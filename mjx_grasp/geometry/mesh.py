@@ -54,11 +54,11 @@ def surface_normals(
     Not on the device: scattered sums there depend on the order of its threads, and the same mesh
     shall give the same bits. A face without area has no normal and takes no part.
     """
-    corners = np.asarray(vertices, np.float64)[faces]
-    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    a, b, c = _corners(np.asarray(vertices, np.float64), faces)
+    edge1, edge2 = b - a, c - a
     cross = np.cross(edge1, edge2)
-    twice = np.sqrt((cross * cross).sum(axis=1))
-    longest = np.maximum((edge1 * edge1).sum(axis=1), (edge2 * edge2).sum(axis=1))
+    twice = np.sqrt(_dots(cross, cross))
+    longest = np.maximum(_dots(edge1, edge1), _dots(edge2, edge2))
     flat = twice <= _NO_AREA * longest
     cross[flat], twice[flat] = 0.0, 0.0
     index = faces.T.ravel()
@@ -67,13 +67,22 @@ def surface_normals(
     )
     # Opposite faces that share a vertex cancel up to rounding: no direction either.
     total = np.bincount(index, np.tile(twice, 3), len(vertices))
-    length = np.sqrt((weighted * weighted).sum(axis=1))
+    length = np.sqrt(_dots(weighted, weighted))
     length = np.where(length > _NO_DIRECTION * total, length, np.inf)
     return SurfaceNormals(
         faces=cross / np.where(flat, np.inf, twice)[:, None],
         areas=0.5 * twice,
         vertices=weighted / length[:, None],
     )
+
+
+def _corners(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Positions of the three corners of every face; taken one by one they are contiguous."""
+    return tuple(vertices[faces[:, k]] for k in range(3))
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", a, b)
 
 
 def interpolate_normals(
@@ -113,11 +122,10 @@ def mass_properties(
     """
     vertices = np.asarray(vertices, np.float64)
     origin = vertices.mean(axis=0)
-    corners = vertices[faces] - origin
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a, b, c = _corners(vertices - origin, faces)
     cross = np.cross(b - a, c - a)
-    areas = 0.5 * np.linalg.norm(cross, axis=1)
-    volumes = (a * np.cross(b, c)).sum(axis=1) / 6.0
+    areas = 0.5 * np.sqrt(_dots(cross, cross))
+    volumes = _dots(a, np.cross(b, c)) / 6.0
     diagonal = np.linalg.norm(np.ptp(vertices, axis=0))
     closed = is_closed(faces) and volumes.sum() > 1e-9 * diagonal**3
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
@@ -126,10 +134,9 @@ def mass_properties(
     total = mass.sum()
     if not total > 0:
         return MassProperties(origin, np.eye(3), closed)
-    sums = corners.sum(axis=1)
-    centre = (mass[:, None] * sums).sum(axis=0) / (k * total)
-    points = np.concatenate([a, b, c, sums])
-    second = (np.tile(mass, 4)[:, None] * points).T @ points / (k * (k + 1) * total)
+    sums = a + b + c
+    centre = mass @ sums / (k * total)
+    second = sum((mass[:, None] * p).T @ p for p in (a, b, c, sums)) / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
     return MassProperties(centre + origin, axes, closed)

@@ -88,18 +88,13 @@ def compute_heatmaps(
     prepared = [_prepared(v, f, com) for (v, f), com in zip(meshes, coms, strict=True)]
     hand = _f32(span), _f32(scoring_friction)
 
+    groups = _groups(prepared, config)
+    # All are started before the first is waited for.
+    found = [_candidates([prepared[i] for i in group], *hand, config) for group in groups]
     parts: dict[int, Heatmap] = {}
-    for group in _groups(prepared, config):
-        members = [prepared[i] for i in group]
-        if backend_for(max(m.size[1] for m in members), config) == "bvh":
-            found = bvh_candidates(_in_a_row(members), [m.size for m in members], *hand, config)
-            ends = np.cumsum([m.size[0] for m in members])
-            cuts: list[Any] = [np.s_[e - m.size[0] : e] for m, e in zip(members, ends, strict=True)]
-        else:
-            found = brute_candidates(_stacked(members), *hand, config)
-            cuts = [np.s_[k, : m.size[0]] for k, m in enumerate(members)]
+    for group, (candidates, cuts) in zip(groups, found, strict=True):
         # Cut on the host: on the device each size of a mesh would compile 20 programs.
-        on_host = jax.device_get(found)
+        on_host = jax.device_get(candidates)
         for i, cut in zip(group, cuts, strict=True):
             parts[i] = _moved(jax.tree.map(lambda x, cut=cut: x[cut], on_host), prepared[i].origin)
     heatmaps = jax.device_put([parts[i] for i in range(len(meshes))])
@@ -144,6 +139,17 @@ class _Prepared:
         return len(self.surfaces.vertices), len(self.surfaces.faces)
 
 
+def _candidates(members, span, friction, config) -> tuple[Heatmap, list[Any]]:
+    """Candidates of a group, and where in them each member's lie."""
+    if backend_for(max(m.size[1] for m in members), config) == "bvh":
+        ends = np.cumsum([m.size[0] for m in members])
+        cuts: list[Any] = [np.s_[e - m.size[0] : e] for m, e in zip(members, ends, strict=True)]
+        sizes = [m.size for m in members]
+        return bvh_candidates(_in_a_row(members), sizes, span, friction, config), cuts
+    cuts = [np.s_[k, : m.size[0]] for k, m in enumerate(members)]
+    return brute_candidates(_stacked(members), span, friction, config), cuts
+
+
 def _prepared(vertices, faces, com) -> _Prepared:
     vertices, faces = _checked(vertices, faces)
     properties = mass_properties(vertices, faces)
@@ -160,7 +166,7 @@ def _prepared(vertices, faces, com) -> _Prepared:
         faces=faces,
         face_normals=_f32(normals.faces),
         areas=_f32(normals.areas),
-        centroids=_f32(vertices[faces].sum(axis=1) / 3.0),
+        centroids=_f32(sum(vertices[faces[:, k]] for k in range(3)) / 3.0),
         com=_f32(com - origin)[None],
         axes=_f32(properties.axes)[None],
         diagonal=_f32(np.linalg.norm(high - low))[None],

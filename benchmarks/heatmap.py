@@ -210,7 +210,7 @@ def measure(config: BenchmarkConfig) -> dict[str, Any]:
         for backend in ("bvh", "brute"):
             if backend == "brute" and len(f) > LARGEST_BRUTE[platform]:
                 continue
-            repeats = config.repeats if faces <= 10_000 else 2
+            repeats = config.repeats if faces <= 10_000 else 1
             taken = timed(lambda b=backend, v=v, f=f: one(v, f, b), repeats)
             row["seconds"][backend], row["first_call_extra_s"][backend] = taken
         growth.append(row)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from mjx_grasp.geometry.tiles import first_true, map_tiles, tile_for
 from mjx_grasp.geometry.vectors import norm
 
 
@@ -33,32 +34,47 @@ def _ratio(numerator, denominator):
     return jnp.where(denominator > 0, jnp.clip(numerator / safe, 0.0, 1.0), 0.0)
 
 
-def _weights(ap, ab, ac):
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _duals(ab, ac):
+    """Vectors whose inner product with a point, from the corner, is its weight v or w.
+
+    ``ac × n / |n|²`` and ``n × ab / |n|²``: on a sliver they lose as many digits as it is longer
+    than wide, where the usual quotient of determinants of inner products loses twice as many.
+    Zero for a degenerate triangle.
+    """
+    normal = _cross(ab, ac)
+    squared = _dot(normal, normal)
+    inverse = jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, squared, 1.0), 0.0)
+    to_v, to_w = _cross(ac, normal), _cross(normal, ab)
+    return tuple(c * inverse for c in to_v), tuple(c * inverse for c in to_w)
+
+
+def _weights(ap, ab, ac, to_v, to_w):
     """Barycentric weights (v, w) of the nearest point, and the squared distance.
 
-    Inside where the projection is (the signed areas of Ericson, Real-Time Collision Detection,
-    5.1.5), else the nearest of the three edges: that holds for degenerate triangles too, on which
-    the choice by Voronoi regions fails. ``ap, ab, ac`` are tuples of components, so that
-    everything fuses into one pass.
+    Inside where the projection is, else the nearest of the three edges: that holds for degenerate
+    triangles too, on which a choice by Voronoi regions fails. All arguments are tuples of
+    components, so that everything fuses into one pass.
     """
-
-    def dot(a, b):
-        return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
     def squared_distance(v, w):
         # Of the remainder vector, not a difference of squares: exact on the surface.
         r = tuple(ap[k] - v * ab[k] - w * ac[k] for k in range(3))
-        return dot(r, r)
+        return _dot(r, r)
 
-    ab2, ac2, abac = dot(ab, ab), dot(ac, ac), dot(ab, ac)
-    d1, d2 = dot(ab, ap), dot(ac, ap)
-    d3, d4 = d1 - ab2, d2 - abac
-    d5, d6 = d1 - abac, d2 - ac2
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    inside = (va > 0) & (vb > 0) & (vc > 0)
-    inverse = 1.0 / jnp.where(inside, va + vb + vc, 1.0)
+    inside_v, inside_w = _dot(ap, to_v), _dot(ap, to_w)
+    inside = (inside_v > 0) & (inside_w > 0) & (inside_v + inside_w < 1)
 
-    along_bc = _ratio(d4 - d3, (d4 - d3) + (d5 - d6))
+    ab2, ac2, abac = _dot(ab, ab), _dot(ac, ac), _dot(ab, ac)
+    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    along_bc = _ratio((d2 - abac) - (d1 - ab2), ab2 + ac2 - 2.0 * abac)
     v, w = _ratio(d1, ab2), jnp.zeros_like(d1)
     least = squared_distance(v, w)
     for other_v, other_w in ((0.0 * d2, _ratio(d2, ac2)), (1.0 - along_bc, along_bc)):
@@ -66,7 +82,7 @@ def _weights(ap, ab, ac):
         nearer = distance < least
         v, w = jnp.where(nearer, other_v, v), jnp.where(nearer, other_w, w)
         least = jnp.where(nearer, distance, least)
-    v, w = jnp.where(inside, vb * inverse, v), jnp.where(inside, vc * inverse, w)
+    v, w = jnp.where(inside, inside_v, v), jnp.where(inside, inside_w, w)
     return v, w, jnp.where(inside, squared_distance(v, w), least)
 
 
@@ -80,27 +96,41 @@ def closest_on_triangle(
     """The nearest point of a triangle and its barycentric weights; finite on degenerate ones."""
     a = triangle[..., 0, :]
     ab, ac = triangle[..., 1, :] - a, triangle[..., 2, :] - a
-    v, w, _ = _weights(_components(point - a), _components(ab), _components(ac))
+    sides = _components(ab), _components(ac)
+    v, w, _ = _weights(_components(point - a), *sides, *_duals(*sides))
     nearest = a + v[..., None] * ab + w[..., None] * ac
     return nearest, jnp.stack([1.0 - v - w, v, w], axis=-1)
 
 
 def closest_on_mesh(
-    points: Float[Array, "n 3"], triangles: Float[Array, "f 3 3"], tile: int = 64
+    points: Float[Array, "n 3"], triangles: Float[Array, "f 3 3"], tile: int | None = None
 ) -> ClosestPoints:
     """The nearest point of a mesh to each query (method §1, step 3), over all faces.
 
     Args:
         points: Queries in [m].
         triangles: Corners of the faces in [m].
-        tile: Queries worked on at once; bounds the memory to ``tile × f`` numbers.
+        tile: Queries worked on at once; bounds the memory to ``tile × f`` numbers. As the device
+            likes it if None.
     """
     corner = triangles[:, 0]
-    ab, ac = _components(triangles[:, 1] - corner), _components(triangles[:, 2] - corner)
+    ab, ac = (tuple(c[None] for c in _components(triangles[:, k] - corner)) for k in (1, 2))
+    # Of the faces alone: worked out once, not for every tile.
+    to_v, to_w = jax.lax.optimization_barrier(_duals(ab, ac))
 
     def nearest_face(point):
-        return jnp.argmin(_weights(_components(point - corner), ab, ac)[2])
+        ap = tuple(point[:, k, None] - corner[None, :, k] for k in range(3))
+        # Kept as it is: both passes below read it, and neither shall compute it again.
+        squared = jax.lax.optimization_barrier(_weights(ap, ab, ac, to_v, to_w)[2])
+        return first_true(squared <= jnp.min(squared, axis=1, keepdims=True))
 
-    face = jax.lax.map(nearest_face, points, batch_size=tile)
+    face = map_tiles(nearest_face, (points,), tile or tile_for(triangles.shape[0]))
+    return closest_on_face(points, triangles, face)
+
+
+def closest_on_face(
+    points: Float[Array, "n 3"], triangles: Float[Array, "f 3 3"], face: Int[Array, " n"]
+) -> ClosestPoints:
+    """The nearest point of the face that is named for each query."""
     point, barycentric = closest_on_triangle(points, triangles[face])
     return ClosestPoints(point, norm(points - point), face, barycentric)

@@ -4,11 +4,31 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry.vectors import norm, unit
+from mjx_grasp.geometry.vectors import unit
+
+# Twice a triangle's area over its longest squared side, below which it has no normal.
+_NO_AREA = 1e-9
+# Length of a sum of normals over the sum of their lengths, below which it is rounding.
+_NO_DIRECTION = 1e-9
+# Second moments closer than this, relative to the largest, are equal: they single out no axis.
+_EQUAL_MOMENTS = 1e-6
+
+
+class SurfaceNormals(NamedTuple):
+    """Normals of a mesh.
+
+    Attributes:
+        faces: ``[f, 3]`` outward unit normals, zero for a face without area.
+        areas: ``[f]`` in [m²].
+        vertices: ``[v, 3]`` area-weighted unit normals (method §1), zero where no face gives one.
+    """
+
+    faces: np.ndarray
+    areas: np.ndarray
+    vertices: np.ndarray
 
 
 class MassProperties(NamedTuple):
@@ -16,7 +36,8 @@ class MassProperties(NamedTuple):
 
     Attributes:
         centre: ``[3]`` centre of mass in [m], mesh frame.
-        axes: ``[3, 3]`` unit principal axes as rows, the longest extent (least inertia) first.
+        axes: ``[3, 3]`` unit principal axes as rows, the longest extent (least inertia) first; of
+            equal extents the axis nearest to x, then y, then z first.
         closed: Whether the mesh bounds a volume; of an open one the surface is taken.
     """
 
@@ -25,23 +46,43 @@ class MassProperties(NamedTuple):
     closed: bool
 
 
-def face_normals_and_areas(
-    triangles: Float[Array, "f 3 3"],
-) -> tuple[Float[Array, "f 3"], Float[Array, " f"]]:
-    """Outward unit normals (zero for a degenerate face) and areas in [m²] of triangles."""
-    cross = jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return unit(cross), 0.5 * norm(cross)
+def surface_normals(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> SurfaceNormals:
+    """Normals and areas of a mesh, in double precision on the host.
+
+    Not on the device: scattered sums there depend on the order of its threads, and the same mesh
+    shall give the same bits. A face without area has no normal and takes no part.
+    """
+    a, b, c = _corners(np.asarray(vertices, np.float64), faces)
+    edge1, edge2 = b - a, c - a
+    cross = np.cross(edge1, edge2)
+    twice = np.sqrt(_dots(cross, cross))
+    longest = np.maximum(_dots(edge1, edge1), _dots(edge2, edge2))
+    flat = twice <= _NO_AREA * longest
+    cross[flat], twice[flat] = 0.0, 0.0
+    index = faces.T.ravel()
+    weighted = np.stack(
+        [np.bincount(index, np.tile(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1
+    )
+    # Opposite faces that share a vertex cancel up to rounding: no direction either.
+    total = np.bincount(index, np.tile(twice, 3), len(vertices))
+    length = np.sqrt(_dots(weighted, weighted))
+    length = np.where(length > _NO_DIRECTION * total, length, np.inf)
+    return SurfaceNormals(
+        faces=cross / np.where(flat, np.inf, twice)[:, None],
+        areas=0.5 * twice,
+        vertices=weighted / length[:, None],
+    )
 
 
-def vertex_normals(
-    face_normals: Float[Array, "f 3"],
-    face_areas: Float[Array, " f"],
-    faces: Int[Array, "f 3"],
-    vertex_count: int,
-) -> Float[Array, "v 3"]:
-    """Area-weighted unit vertex normals (method §1); zero where no face gives a direction."""
-    weighted = jnp.repeat(face_normals * face_areas[:, None], 3, axis=0)
-    return unit(jnp.zeros((vertex_count, 3), weighted.dtype).at[faces.reshape(-1)].add(weighted))
+def _corners(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Positions of the three corners of every face; taken one by one they are contiguous."""
+    return tuple(vertices[faces[:, k]] for k in range(3))
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", a, b)
 
 
 def interpolate_normals(
@@ -81,11 +122,10 @@ def mass_properties(
     """
     vertices = np.asarray(vertices, np.float64)
     origin = vertices.mean(axis=0)
-    corners = vertices[faces] - origin
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a, b, c = _corners(vertices - origin, faces)
     cross = np.cross(b - a, c - a)
-    areas = 0.5 * np.linalg.norm(cross, axis=1)
-    volumes = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6.0
+    areas = 0.5 * np.sqrt(_dots(cross, cross))
+    volumes = _dots(a, np.cross(b, c)) / 6.0
     diagonal = np.linalg.norm(np.ptp(vertices, axis=0))
     closed = is_closed(faces) and volumes.sum() > 1e-9 * diagonal**3
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
@@ -94,9 +134,31 @@ def mass_properties(
     total = mass.sum()
     if not total > 0:
         return MassProperties(origin, np.eye(3), closed)
-    sums = corners.sum(axis=1)
-    centre = (mass[:, None] * sums).sum(axis=0) / (k * total)
-    second = np.einsum("f,fki,fkj->ij", mass, corners, corners)
-    second = (second + np.einsum("f,fi,fj->ij", mass, sums, sums)) / (k * (k + 1) * total)
-    _, vectors = np.linalg.eigh(second - np.outer(centre, centre))
-    return MassProperties(centre + origin, np.ascontiguousarray(vectors.T[::-1]), closed)
+    sums = a + b + c
+    centre = mass @ sums / (k * total)
+    second = sum((mass[:, None] * p).T @ p for p in (a, b, c, sums)) / (k * (k + 1) * total)
+    moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
+    axes = _settled(vectors.T[::-1], moments[::-1])
+    return MassProperties(centre + origin, axes, closed)
+
+
+def _settled(axes: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Of axes with equal moments, which rounding would choose, those nearest to x, y, z instead."""
+    settled = np.empty((3, 3))
+    start = 0
+    while start < 3:
+        stop = start + 1
+        while stop < 3 and moments[stop - 1] - moments[stop] <= _EQUAL_MOMENTS * moments[0]:
+            stop += 1
+        if stop == start + 1:
+            settled[start] = axes[start]
+        else:
+            space = axes[start:stop].T @ axes[start:stop]
+            for row in range(start, stop):
+                lengths = np.sqrt(np.maximum(np.diagonal(space), 0.0))
+                # Of equally near coordinate axes the first.
+                nearest = np.argmax(lengths >= lengths.max() - _EQUAL_MOMENTS)
+                settled[row] = space[nearest] / lengths[nearest]
+                space = space - np.outer(settled[row], settled[row])
+        start = stop
+    return settled

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.geometry.tiles import first_true, map_tiles, tile_for
+
 # Slack on the barycentric weights: a ray through a shared edge must not slip between its faces
 # in float32. On a 5 mm face it is 0.5 µm.
 _EDGE_SLACK = 1e-4
@@ -63,14 +65,20 @@ def _components(x):
     return x[..., 0], x[..., 1], x[..., 2]
 
 
+def _edges(triangles):
+    corner = triangles[..., 0, :]
+    sides = corner, triangles[..., 1, :] - corner, triangles[..., 2, :] - corner
+    return tuple(_components(side) for side in sides)
+
+
 def farthest_hit(
     origins: Float[Array, "n 3"],
     directions: Float[Array, "n 3"],
     triangles: Float[Array, "f 3 3"],
     min_distance: Float[Array, ""] | float,
-    tile: int = 64,
+    tile: int | None = None,
 ) -> RayHits:
-    """The farthest intersection of each ray with the mesh (method §1, step 1).
+    """The farthest intersection of each ray with the mesh (method §1, step 1), over all faces.
 
     Degenerate triangles are never hit. A ray without a direction hits nothing.
 
@@ -79,24 +87,39 @@ def farthest_hit(
         directions: Ray directions, unit.
         triangles: Corners of the faces in [m].
         min_distance: Hits nearer than this do not count, [m].
-        tile: Rays worked on at once; bounds the memory to ``tile × f`` numbers.
+        tile: Rays worked on at once; bounds the memory to ``tile × f`` numbers. As the device
+            likes it if None.
     """
-    corner = triangles[:, 0]
-    sides = corner, triangles[:, 1] - corner, triangles[:, 2] - corner
-    mesh = tuple(_components(side) for side in sides)
+    mesh = tuple(tuple(c[None] for c in side) for side in _edges(triangles))
 
-    def farthest(ray):
-        origin, direction = ray
-        inside, t, _, _ = _intersect(_components(origin), _components(direction), *mesh)
+    def farthest(origin, direction):
+        origin, direction = (tuple(x[:, k, None] for k in range(3)) for x in (origin, direction))
+        inside, t, _, _ = _intersect(origin, direction, *mesh)
         reach = jnp.where(inside & (t > min_distance), t, -jnp.inf)
-        return jnp.argmax(reach), jnp.max(reach)
+        # Kept as it is: both passes below read it, and neither shall compute it again.
+        reach = jax.lax.optimization_barrier(reach)
+        return first_true(reach >= jnp.max(reach, axis=1, keepdims=True))
 
-    face, reach = jax.lax.map(farthest, (origins, directions), batch_size=tile)
-    hit = reach > 0
-    met = tuple(_components(side[face]) for side in sides)
-    _, _, u, v = _intersect(_components(origins), _components(directions), *met)
+    tile = tile or tile_for(triangles.shape[0])
+    face = map_tiles(farthest, (origins, directions), tile)
+    return hit_on_face(origins, directions, triangles, face, min_distance)
+
+
+def hit_on_face(
+    origins: Float[Array, "n 3"],
+    directions: Float[Array, "n 3"],
+    triangles: Float[Array, "f 3 3"],
+    face: Int[Array, " n"],
+    min_distance: Float[Array, "*n"] | float,
+) -> RayHits:
+    """Where each ray meets the face that is named for it; a negative one is no face."""
+    named, face = face >= 0, jnp.maximum(face, 0)
+    inside, t, u, v = _intersect(
+        _components(origins), _components(directions), *_edges(triangles[face])
+    )
+    hit = named & inside & (t > min_distance)
     weights = jnp.clip(jnp.stack([1.0 - u - v, u, v], axis=-1), 0.0, 1.0)
     total = weights[:, 0] + weights[:, 1] + weights[:, 2]
     weights = weights / jnp.maximum(total, 1e-6)[:, None]
     weights = jnp.where(hit[:, None], weights, 1.0 / 3.0)
-    return RayHits(hit, jnp.where(hit, reach, 0.0), face, weights)
+    return RayHits(hit, jnp.where(hit, t, 0.0), face, weights)

@@ -1,148 +1,34 @@
-"""From a mesh to its grasp-affordance heatmap (method §1)."""
+"""From meshes to their grasp-affordance heatmaps (method §1)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.closest import closest_on_mesh
-from mjx_grasp.geometry.curvature import long_axes
-from mjx_grasp.geometry.mesh import (
-    face_normals_and_areas,
-    interpolate_normals,
-    mass_properties,
-    vertex_normals,
-)
-from mjx_grasp.geometry.rays import farthest_hit
-from mjx_grasp.geometry.vectors import norm, unit
+from mjx_grasp.geometry.mesh import mass_properties, surface_normals
+from mjx_grasp.heatmap.backends import backend_for, brute_candidates, bvh_candidates
+from mjx_grasp.heatmap.candidates import Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.heatmap.scores import (
-    anchor_score,
-    coherence_score,
-    friction_score,
-    separation_score,
-    width_score,
-)
 from mjx_grasp.heatmap.steering import Heatmap, weigh
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
     from mjx_grasp.robot.spec import HandSpec
 
-# Arrays are padded to multiples of this, so that meshes of similar size share one compilation.
-_BUCKET = 512
+# Arrays are padded to multiples of at least this, and of an eighth of their size: meshes of
+# similar size share one compilation.
+_LEAST_STEP = 512
+# Vertices worked on at once: bounds the memory of many meshes.
+_MOST_VERTICES = 250_000
 
-
-@partial(jax.jit, static_argnames="config")
-def _candidates(vertices, faces, face_count, com, axes, diagonal, span, friction, config):
-    """Steps 1–5 for all vertices, except the final product with S_COM."""
-    triangles = vertices[faces]
-    face_normals, areas = face_normals_and_areas(triangles)
-    # Padding faces repeat a real one: harmless to rays and nearest points, but they must not
-    # count twice in the normals and the curvature.
-    areas = jnp.where(jnp.arange(faces.shape[0]) < face_count, areas, 0.0)
-    normals = vertex_normals(face_normals, areas, faces, vertices.shape[0])
-    has_normal = jnp.any(normals != 0.0, axis=-1)
-
-    hits = farthest_hit(
-        vertices, -normals, triangles, config.min_ray_fraction * diagonal, config.tile
-    )
-    corners = triangles[hits.face] * hits.barycentric[:, :, None]
-    opposing = corners[:, 0] + corners[:, 1] + corners[:, 2]
-    opposing_normals = interpolate_normals(normals, faces, hits.face, hits.barycentric)
-    axis_l = long_axes(
-        opposing,
-        opposing_normals,
-        (triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3.0,
-        face_normals,
-        areas,
-        axes,
-        radius=config.curvature_radius,
-        min_faces=config.curvature_min_faces,
-        isotropy=config.curvature_isotropy,
-        flatness=config.curvature_flatness,
-        parallel_angle=config.parallel_angle,
-        tile=config.tile,
-    )
-
-    # [h, side, v, 3]: every offset on both sides, projected to the mesh in one go.
-    offsets = jnp.asarray(config.wrap_offsets, vertices.dtype)
-    sides = jnp.asarray([1.0, -1.0], vertices.dtype)
-    seeds = opposing + (offsets[:, None] * sides)[:, :, None, None] * axis_l
-    nearest = closest_on_mesh(seeds.reshape(-1, 3), triangles, config.tile)
-    contacts = nearest.point.reshape(seeds.shape)
-    contact_normals = interpolate_normals(
-        normals, faces, nearest.face, nearest.barycentric
-    ).reshape(seeds.shape)
-
-    centre = 0.5 * (contacts[:, 0] + contacts[:, 1])
-    reach = centre - vertices
-    width = norm(reach)
-    axis_g = unit(reach)
-    pushes = friction_score(-axis_g[:, None], -contact_normals, friction)
-    terms = {
-        "width": width_score(width, span, config.width_sigma),
-        "thumb": friction_score(axis_g, -normals, friction),
-        "wrap": 0.5 * (pushes[:, 0] + pushes[:, 1]),
-        "coherence": coherence_score(
-            contact_normals[:, 0], contact_normals[:, 1], config.coherence_angle
-        ),
-        "com": anchor_score(com, vertices, axis_g, config.com_sigma),
-        "separation": separation_score(contacts[:, 0], contacts[:, 1], config.full_separation),
-    }
-    without_com = (
-        terms["width"] * terms["thumb"] * terms["wrap"] * terms["coherence"] * terms["separation"]
-    )
-    valid = hits.hit & has_normal & (width > config.min_ray_fraction * diagonal)
-    valid &= jnp.all(jnp.any(contact_normals != 0.0, axis=-1), axis=1)
-    without_com = jnp.where(valid, without_com, 0.0)
-
-    # argmax takes the first: the smallest h among those that tie with the best.
-    scores = without_com * terms["com"]
-    ties = scores >= (1.0 - config.tie_tolerance) * jnp.max(scores, axis=0)
-    best = jnp.argmax(ties, axis=0)
-    rows = jnp.arange(vertices.shape[0])
-    kept = valid[best, rows]
-    up = jnp.asarray([0.0, 0.0, 1.0], vertices.dtype)
-    return Heatmap(
-        vertices=vertices,
-        normals=jnp.where(has_normal[:, None], normals, up),
-        score=jnp.zeros_like(width[0]),
-        score_without_com=without_com[best, rows],
-        thumb=vertices,
-        opposing=opposing,
-        long_axis=axis_l,
-        offset=offsets[best],
-        wrap=jnp.moveaxis(contacts, 2, 1)[best, rows],
-        wrap_normals=jnp.moveaxis(contact_normals, 2, 1)[best, rows],
-        centre=centre[best, rows],
-        axis=axis_g[best, rows],
-        width=width[best, rows],
-        valid=kept,
-        terms={name: jnp.where(kept, term[best, rows], 0.0) for name, term in terms.items()},
-    )
-
-
-def _checked(vertices, faces):
-    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
-        raise InputError("vertices", f"shape {vertices.shape}", "finite numbers [v, 3] in m")
-    if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
-        raise InputError("faces", f"{faces.dtype} {faces.shape}", "integers [f, 3]")
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError("faces", "no faces, or a vertex that is not there", "indices of vertices")
-    return vertices, faces.astype(np.int32)
-
-
-def _padded(array: np.ndarray, fill: np.ndarray) -> np.ndarray:
-    short = -len(array) % _BUCKET
-    return np.concatenate([array, np.repeat(fill[None], short, axis=0)])
+_f32 = partial(np.asarray, dtype=np.float32)
 
 
 def compute_heatmap(
@@ -169,54 +55,189 @@ def compute_heatmap(
     Raises:
         InputError: The mesh is not one, or a setting cannot work.
     """
+    return compute_heatmaps([(vertices, faces)], [com], span, scoring_friction, config)[0]
+
+
+def compute_heatmaps(
+    meshes: Sequence[tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]],
+    coms: Sequence[Float[np.ndarray, " 3"] | None] | None,
+    span: tuple[float, float],
+    scoring_friction: float,
+    config: HeatmapConfig | None = None,
+) -> list[Heatmap]:
+    """The heatmaps of many meshes of any sizes, worked on together; see :func:`compute_heatmap`.
+
+    Args:
+        meshes: Vertices [m] and faces of each.
+        coms: Centre of mass of each; None takes those of uniform density.
+        span: Narrowest and widest grasp of the hand, [m].
+        scoring_friction: μ of the hand description.
+        config: Settings; the defaults if None.
+
+    Raises:
+        InputError: One of the meshes is not one, or a setting cannot work.
+    """
     config = config or HeatmapConfig()
-    vertices, faces = _checked(vertices, faces)
     if not 0 < span[0] < span[1]:
         raise InputError("span", span, "two lengths in ascending order [m]")
     if not scoring_friction > 0:
         raise InputError("scoring_friction", scoring_friction, "a positive number")
-    properties = mass_properties(vertices, faces)
-    com = properties.centre if com is None else np.asarray(com, np.float64)
+    coms = [None] * len(meshes) if coms is None else coms
+    if len(coms) != len(meshes):
+        raise InputError("coms", f"{len(coms)}", f"one of each of the {len(meshes)} meshes")
+    prepared = [_prepared(v, f, com) for (v, f), com in zip(meshes, coms, strict=True)]
+    hand = _f32(span), _f32(scoring_friction)
 
-    # Worked on around its own centre: float32 keeps its digits wherever the mesh lies.
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    origin = 0.5 * (low + high)
-    f32 = partial(np.asarray, dtype=np.float32)
-    heatmap = _candidates(
-        _padded(f32(vertices - origin), f32(low - origin)),
-        _padded(faces, faces[-1]),
-        np.int32(len(faces)),
-        f32(com - origin),
-        f32(properties.axes),
-        f32(np.linalg.norm(high - low)),
-        f32(span),
-        f32(scoring_friction),
-        config,
-    )
-    heatmap = jax.tree.map(lambda x: x[: len(vertices)], heatmap)
-    shift = {
-        name: getattr(heatmap, name) + f32(origin)
-        for name in ("vertices", "thumb", "opposing", "wrap", "centre")
-    }
-    heatmap = heatmap._replace(**shift)
-    score = weigh(
-        heatmap.score_without_com,
-        heatmap.thumb,
-        heatmap.axis,
-        f32(com),
-        f32(config.com_sigma),
-    )
-    return heatmap._replace(score=score)
+    groups = _groups(prepared, config)
+    # All are started before the first is waited for.
+    found = [_candidates([prepared[i] for i in group], *hand, config) for group in groups]
+    parts: dict[int, Heatmap] = {}
+    for group, (candidates, cuts) in zip(groups, found, strict=True):
+        # Cut on the host: on the device each size of a mesh would compile 20 programs.
+        on_host = jax.device_get(candidates)
+        for i, cut in zip(group, cuts, strict=True):
+            parts[i] = _moved(jax.tree.map(lambda x, cut=cut: x[cut], on_host), prepared[i].origin)
+    heatmaps = jax.device_put([parts[i] for i in range(len(meshes))])
+    sigma = _f32(config.com_sigma)
+    return [
+        h._replace(score=weigh(h.score_without_com, h.thumb, h.axis, _f32(p.com), sigma))
+        for h, p in zip(heatmaps, prepared, strict=True)
+    ]
 
 
 def heatmap_of(obj: ObjectModel, hand: HandSpec, config: HeatmapConfig | None = None) -> Heatmap:
     """The heatmap of an object for a hand, in the object frame; see :func:`compute_heatmap`."""
-    mesh = obj.mesh
-    return compute_heatmap(
-        np.asarray(mesh.vertices),
-        np.asarray(mesh.faces),
-        obj.com,
+    return heatmaps_of([obj], hand, config)[0]
+
+
+def heatmaps_of(
+    objects: Sequence[ObjectModel], hand: HandSpec, config: HeatmapConfig | None = None
+) -> list[Heatmap]:
+    """The heatmaps of objects for a hand, worked on together; see :func:`compute_heatmaps`."""
+    return compute_heatmaps(
+        [(np.asarray(o.mesh.vertices), np.asarray(o.mesh.faces)) for o in objects],
+        [o.com for o in objects],
         hand.span,
         hand.scoring_friction,
         config,
     )
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A mesh as :class:`Surfaces` of its own, around the centre of its bounding box."""
+
+    surfaces: Surfaces
+    origin: np.ndarray
+    """Centre of the box in the mesh's frame [m]."""
+    com: np.ndarray
+    """Centre of mass in the mesh's frame [m]."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Vertices and faces."""
+        return len(self.surfaces.vertices), len(self.surfaces.faces)
+
+
+def _candidates(members, span, friction, config) -> tuple[Heatmap, list[Any]]:
+    """Candidates of a group, and where in them each member's lie."""
+    if backend_for(max(m.size[1] for m in members), config) == "bvh":
+        ends = np.cumsum([m.size[0] for m in members])
+        cuts: list[Any] = [np.s_[e - m.size[0] : e] for m, e in zip(members, ends, strict=True)]
+        sizes = [m.size for m in members]
+        return bvh_candidates(_in_a_row(members), sizes, span, friction, config), cuts
+    cuts = [np.s_[k, : m.size[0]] for k, m in enumerate(members)]
+    return brute_candidates(_stacked(members), span, friction, config), cuts
+
+
+def _prepared(vertices, faces, com) -> _Prepared:
+    vertices, faces = _checked(vertices, faces)
+    properties = mass_properties(vertices, faces)
+    com = properties.centre if com is None else np.asarray(com, np.float64)
+    # Worked on around its own centre: float32 keeps its digits wherever the mesh lies.
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    origin = 0.5 * (low + high)
+    vertices = vertices - origin
+    normals = surface_normals(vertices, faces)
+    surfaces = Surfaces(
+        vertices=_f32(vertices),
+        normals=_f32(normals.vertices),
+        owner=np.zeros(len(vertices), np.int32),
+        faces=faces,
+        face_normals=_f32(normals.faces),
+        areas=_f32(normals.areas),
+        centroids=_f32(sum(vertices[faces[:, k]] for k in range(3)) / 3.0),
+        com=_f32(com - origin)[None],
+        axes=_f32(properties.axes)[None],
+        diagonal=_f32(np.linalg.norm(high - low))[None],
+    )
+    return _Prepared(surfaces, origin, com)
+
+
+def _checked(vertices, faces):
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise InputError("vertices", f"shape {vertices.shape}", "finite numbers [v, 3] in m")
+    if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
+        raise InputError("faces", f"{faces.dtype} {faces.shape}", "integers [f, 3]")
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError("faces", "no faces, or a vertex that is not there", "indices of vertices")
+    return vertices, faces.astype(np.int32)
+
+
+def _bucket(n: int) -> int:
+    step = max(_LEAST_STEP, 2 ** max(0, n.bit_length() - 4))
+    return -(-n // step) * step
+
+
+def _groups(prepared: Sequence[_Prepared], config: HeatmapConfig) -> list[list[int]]:
+    """Which meshes are worked on together: those of one backend, if brute also of one size."""
+    keyed: dict[object, list[list[int]]] = {}
+    for i, p in enumerate(prepared):
+        vertices, faces = p.size
+        backend = backend_for(faces, config)
+        key = backend if backend == "bvh" else (_bucket(vertices), _bucket(faces))
+        groups = keyed.setdefault(key, [[]])
+        together = sum(prepared[j].size[0] for j in groups[-1]) + vertices
+        if groups[-1] and together > _MOST_VERTICES:
+            groups.append([])
+        groups[-1].append(i)
+    return [group for groups in keyed.values() for group in groups]
+
+
+def _padded(s: Surfaces) -> Surfaces:
+    """Filled up: vertices without a normal, and copies of the last face that have no area."""
+    vertices = _bucket(len(s.vertices)) - len(s.vertices)
+    faces = _bucket(len(s.faces)) - len(s.faces)
+
+    def more(array, count, fill):
+        return np.concatenate([array, np.broadcast_to(fill, (count, *array.shape[1:]))])
+
+    return s._replace(
+        vertices=more(s.vertices, vertices, s.vertices[-1]),
+        normals=more(s.normals, vertices, np.float32(0.0)),
+        owner=more(s.owner, vertices, s.owner[-1]),
+        faces=more(s.faces, faces, s.faces[-1]),
+        face_normals=more(s.face_normals, faces, s.face_normals[-1]),
+        areas=more(s.areas, faces, np.float32(0.0)),
+        centroids=more(s.centroids, faces, s.centroids[-1]),
+    )
+
+
+def _in_a_row(members: Sequence[_Prepared]) -> Surfaces:
+    parts, first = [], 0
+    for k, m in enumerate(members):
+        s = m.surfaces
+        parts.append(s._replace(owner=s.owner + np.int32(k), faces=s.faces + np.int32(first)))
+        first += m.size[0]
+    return _padded(Surfaces(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
+
+
+def _stacked(members: Sequence[_Prepared]) -> Surfaces:
+    parts = [_padded(m.surfaces) for m in members]
+    return Surfaces(*(np.stack(columns) for columns in zip(*parts, strict=True)))
+
+
+def _moved(heatmap: Heatmap, origin: np.ndarray) -> Heatmap:
+    places = ("vertices", "thumb", "opposing", "wrap", "centre")
+    return heatmap._replace(**{name: getattr(heatmap, name) + _f32(origin) for name in places})

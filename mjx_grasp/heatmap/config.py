@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from mjx_grasp.errors import InputError
+
+Backend = Literal["auto", "bvh", "brute"]
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,12 @@ class HeatmapConfig:
     """S_sep: wrap contacts this far apart score 1 [m]"""
     tie_tolerance: float = 1e-4
     """scores closer than this, relatively, tie: the smaller h is kept [-]"""
-    tile: int = 64
-    """queries worked on at once; memory is proportional to it [-]"""
+    backend: Backend = "auto"
+    """how meshes are queried: 'bvh' through NVIDIA Warp's hierarchies, 'brute' over all faces in
+    JAX alone; 'auto' takes the faster one: 'bvh' on a CPU, on a GPU only for large meshes"""
+    tile: int | None = None
+    """brute: queries worked on at once; memory is proportional to it; as the device likes it if
+    None [-]"""
 
     def __post_init__(self):
         offsets = self.wrap_offsets
@@ -49,7 +56,10 @@ class HeatmapConfig:
             "com_sigma",
             "full_separation",
             "curvature_min_faces",
-            "tile",
         ):
             if not getattr(self, name) > 0:
                 raise InputError(name, getattr(self, name), "a positive number")
+        if self.tile is not None and self.tile < 1:
+            raise InputError("tile", self.tile, "a positive number or None")
+        if self.backend not in get_args(Backend):
+            raise InputError("backend", self.backend, f"one of {', '.join(get_args(Backend))}")

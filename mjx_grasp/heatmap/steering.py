@@ -70,7 +70,9 @@ def weigh(
 def steer(
     heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: Float[Array, ""] | float = 0.030
 ) -> Float[Array, " v"]:
-    """Scores of a heatmap's candidates for an anchor; many anchors at once are a ``vmap``.
+    """Scores of a heatmap's candidates for an anchor; for many anchors see :func:`steer_many`.
+
+    The anchor and σ may change at every call: nothing is compiled again.
 
     Args:
         heatmap: Cached candidates.
@@ -80,3 +82,22 @@ def steer(
     dtype = heatmap.score_without_com.dtype
     anchor, sigma = jnp.asarray(anchor, dtype), jnp.asarray(sigma, dtype)
     return weigh(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchor, sigma)
+
+
+def steer_many(
+    heatmap: Heatmap, anchors: Float[Array, "a 3"], sigma: Float[Array, "*a"] | float = 0.030
+) -> Float[Array, "a v"]:
+    """Scores for many anchors at once, as :func:`steer` gives them one by one.
+
+    Args:
+        heatmap: Cached candidates.
+        anchors: Points in the object frame, [m].
+        sigma: Of all anchors, or of each, [m].
+    """
+    dtype = heatmap.score_without_com.dtype
+    anchors = jnp.asarray(anchors, dtype)
+    sigma = jnp.broadcast_to(jnp.asarray(sigma, dtype), anchors.shape[:1])
+    return _weigh_many(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchors, sigma)
+
+
+_weigh_many = jax.jit(jax.vmap(weigh, in_axes=(None, None, None, 0, 0)))

@@ -1,0 +1,167 @@
+"""Steps 1 to 5 of the score (method §1), given the faces that rays and nearest points meet."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.geometry.closest import ClosestPoints
+from mjx_grasp.geometry.mesh import interpolate_normals
+from mjx_grasp.geometry.rays import RayHits
+from mjx_grasp.geometry.vectors import norm, unit
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.scores import (
+    anchor_score,
+    coherence_score,
+    friction_score,
+    separation_score,
+    width_score,
+)
+from mjx_grasp.heatmap.steering import Heatmap
+
+# Share of the mesh's diagonal.
+_LEAST_WIDTH = 1e-6
+
+
+class Surfaces(NamedTuple):
+    """k meshes, one after the other, as float32; each around the centre of its own box.
+
+    Arrays of NumPy on the host, of JAX on the device.
+
+    Attributes:
+        vertices: ``[v, 3]`` in [m].
+        normals: ``[v, 3]`` unit, zero where there is none.
+        owner: ``[v]`` which mesh a vertex belongs to.
+        faces: ``[f, 3]`` indices of vertices, counted through all meshes.
+        face_normals: ``[f, 3]`` unit, zero where there is none.
+        areas: ``[f]`` in [m²], zero for padding.
+        centroids: ``[f, 3]`` in [m].
+        com: ``[k, 3]`` centre of mass in [m].
+        axes: ``[k, 3, 3]`` principal axes as rows, the longest first.
+        diagonal: ``[k]`` of the bounding box, [m].
+    """
+
+    vertices: Float[Any, "v 3"]
+    normals: Float[Any, "v 3"]
+    owner: Int[Any, " v"]
+    faces: Int[Any, "f 3"]
+    face_normals: Float[Any, "f 3"]
+    areas: Float[Any, " f"]
+    centroids: Float[Any, "f 3"]
+    com: Float[Any, "k 3"]
+    axes: Float[Any, "k 3 3"]
+    diagonal: Float[Any, " k"]
+
+
+def opposing_contacts(
+    surfaces: Surfaces, hits: RayHits
+) -> tuple[Float[Array, "v 3"], Float[Array, "v 3"]]:
+    """Points o on the faces that were hit, and the normals there (method §1, step 1).
+
+    Where nothing was hit it is the vertex itself: void, but on its own mesh.
+    """
+    corners = surfaces.vertices[surfaces.faces[hits.face]] * hits.barycentric[:, :, None]
+    opposing = corners[:, 0] + corners[:, 1] + corners[:, 2]
+    opposing = jnp.where(hits.hit[:, None], opposing, surfaces.vertices)
+    return opposing, interpolate_normals(
+        surfaces.normals, surfaces.faces, hits.face, hits.barycentric
+    )
+
+
+def wrap_seeds(
+    opposing: Float[Array, "v 3"], long_axis: Float[Array, "v 3"], offsets: tuple[float, ...]
+) -> Float[Array, "h 2 v 3"]:
+    """Seeds ``o ± h·ℓ`` (method §1, step 3)."""
+    h = jnp.asarray(offsets, opposing.dtype)
+    sides = jnp.asarray([1.0, -1.0], opposing.dtype)
+    return opposing + (h[:, None] * sides)[:, :, None, None] * long_axis
+
+
+def best_candidates(
+    surfaces: Surfaces,
+    hits: RayHits,
+    opposing: Float[Array, "v 3"],
+    long_axis: Float[Array, "v 3"],
+    nearest: ClosestPoints,
+    on_mesh: Bool[Array, " n"],
+    span: Float[Array, " 2"],
+    friction: Float[Array, ""],
+    config: HeatmapConfig,
+) -> Heatmap:
+    """The scores of all offsets, and of each vertex its best (method §1, steps 3 to 5).
+
+    Args:
+        surfaces: The meshes.
+        hits: Where the rays from the vertices along −n_t meet them last.
+        opposing: Points o.
+        long_axis: ℓ there.
+        nearest: The seeds of :func:`wrap_seeds` projected to the mesh, in their order.
+        on_mesh: Whether there was anything to project them to.
+        span: Narrowest and widest grasp of the hand, [m].
+        friction: μ of the hand.
+        config: Settings.
+
+    Returns:
+        Candidates with all but ``score``, which is left 0: see :func:`..steering.weigh`.
+    """
+    vertices, normals = surfaces.vertices, surfaces.normals
+    offsets = jnp.asarray(config.wrap_offsets, vertices.dtype)
+    shape = (len(config.wrap_offsets), 2, vertices.shape[0], 3)
+    contacts = nearest.point.reshape(shape)
+    contact_normals = interpolate_normals(
+        normals, surfaces.faces, nearest.face, nearest.barycentric
+    ).reshape(shape)
+
+    centre = 0.5 * (contacts[:, 0] + contacts[:, 1])
+    reach = centre - vertices
+    width = norm(reach)
+    axis = unit(reach)
+    pushes = friction_score(-axis[:, None], -contact_normals, friction)
+    com = surfaces.com[surfaces.owner]
+    terms = {
+        "width": width_score(width, span, config.width_sigma),
+        "thumb": friction_score(axis, -normals, friction),
+        "wrap": 0.5 * (pushes[:, 0] + pushes[:, 1]),
+        "coherence": coherence_score(
+            contact_normals[:, 0], contact_normals[:, 1], config.coherence_angle
+        ),
+        "com": anchor_score(com, vertices, axis, config.com_sigma),
+        "separation": separation_score(contacts[:, 0], contacts[:, 1], config.full_separation),
+    }
+    without_com = (
+        terms["width"] * terms["thumb"] * terms["wrap"] * terms["coherence"] * terms["separation"]
+    )
+    has_normal = jnp.any(normals != 0.0, axis=-1)
+    # A shorter axis is rounding: it has no direction.
+    least_width = _LEAST_WIDTH * surfaces.diagonal[surfaces.owner]
+    valid = hits.hit & has_normal & (width > least_width)
+    valid &= jnp.all(jnp.any(contact_normals != 0.0, axis=-1), axis=1)
+    valid &= jnp.all(on_mesh.reshape(shape[:3]), axis=1)
+    without_com = jnp.where(valid, without_com, 0.0)
+
+    # argmax takes the first: the smallest h among those that tie with the best.
+    scores = without_com * terms["com"]
+    ties = scores >= (1.0 - config.tie_tolerance) * jnp.max(scores, axis=0)
+    best = jnp.argmax(ties, axis=0)
+    rows = jnp.arange(vertices.shape[0])
+    kept = valid[best, rows]
+    up = jnp.asarray([0.0, 0.0, 1.0], vertices.dtype)
+    return Heatmap(
+        vertices=vertices,
+        normals=jnp.where(has_normal[:, None], normals, up),
+        score=jnp.zeros_like(width[0]),
+        score_without_com=without_com[best, rows],
+        thumb=vertices,
+        opposing=opposing,
+        long_axis=long_axis,
+        offset=offsets[best],
+        wrap=jnp.moveaxis(contacts, 2, 1)[best, rows],
+        wrap_normals=jnp.moveaxis(contact_normals, 2, 1)[best, rows],
+        centre=centre[best, rows],
+        axis=axis[best, rows],
+        width=width[best, rows],
+        valid=kept,
+        terms={name: jnp.where(kept, term[best, rows], 0.0) for name, term in terms.items()},
+    )

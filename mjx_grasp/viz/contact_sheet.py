@@ -20,6 +20,7 @@ _INK, _GREY = (25, 25, 35), (110, 115, 125)
 _ASPECT = 1.6  # of a whole sheet
 _MOST_PIXELS = 8000  # of a sheet's side
 _PAD = 0.05  # of a cell
+_LEAST_WIDTH = 52  # letters: colour bar and legend side by side
 _COLOURS = 256
 
 
@@ -65,7 +66,7 @@ def contact_sheet(
     font = max(9, round(0.055 * cell_pixels))
     label, pad = round(3.0 * font), round(_PAD * cell_pixels)
     head, foot = round(4.4 * font), round(4.6 * font)
-    width = max(columns * cell_pixels, 34 * font) + 2 * pad
+    width = max(columns * cell_pixels, _LEAST_WIDTH * font) + 2 * pad
     height = head + rows * (cell_pixels + label) + foot
     sheet = Image.new("RGB", (width, height), BACKGROUND)
     pen = ImageDraw.Draw(sheet)

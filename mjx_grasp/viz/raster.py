@@ -121,7 +121,7 @@ def _draw(which, corners, low, span, width, face, weights, near):
     twice = area(a, b, c[:, 0], c[:, 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.stack([area(b, c, px, py), area(c, a, px, py)], axis=1) / twice[:, None]
-    share = np.column_stack([share, 1.0 - share.sum(axis=1)])
+        share = np.column_stack([share, 1.0 - share.sum(axis=1)])
     keep = np.flatnonzero((share >= 0.0).all(axis=1))  # not so where a face is seen edge-on: NaN
     share, index, pixel = share[keep], index[keep], (y * width + x)[keep]
     height = (share * corners[index, :, 2]).sum(axis=1)

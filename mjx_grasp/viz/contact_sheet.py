@@ -9,6 +9,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
 from mjx_grasp.atomic import replacing
@@ -32,6 +33,8 @@ class Cell:
     note: str
     """A second line, in grey."""
     subject: Subject
+    axes: Float[np.ndarray, "3 3"] | None = None
+    """Camera axes; the best side if None."""
 
 
 def contact_sheet(
@@ -76,7 +79,8 @@ def contact_sheet(
     for k, cell in enumerate(cells):
         x = left + (k % columns) * cell_pixels
         y = head + (k // columns) * (cell_pixels + label)
-        picture = draw(cell.subject, cell_pixels - 2 * pad, cell_pixels - 2 * pad, top=top)
+        side = cell_pixels - 2 * pad
+        picture = draw(cell.subject, side, side, cell.axes, top)
         sheet.paste(Image.fromarray(picture), (x + pad, y + pad))
         middle = x + cell_pixels / 2
         _centred(pen, middle, y + cell_pixels - 0.3 * font, cell.title, _INK, font, cell_pixels)

@@ -194,11 +194,19 @@ class Viewer:
         outside = contacts + _FINGER * self._size * normals
         middle = contacts[1:].mean(axis=0)
         inside = [np.stack([contacts[0], middle]), contacts[1:]]
-        scene.add_line_segments(f"{name}/grasp", np.stack(inside), _INK, line_width=2.0)
+        scene.add_line_segments(
+            f"{name}/grasp", np.stack(inside), _INK, thickness=2.0, thickness_units="screen"
+        )
         first = k == 0
         ends = np.repeat(np.array([THUMB, _WRAP_LINE, _WRAP_LINE] if first else [_GREY] * 3), 2, 0)
         fingers, width = np.stack([contacts, outside], axis=1), 5.0 if first else 2.0
-        scene.add_line_segments(f"{name}/fingers", fingers, ends.reshape(3, 2, 3), line_width=width)
+        scene.add_line_segments(
+            f"{name}/fingers",
+            fingers,
+            ends.reshape(3, 2, 3),
+            thickness=width,
+            thickness_units="screen",
+        )
         for part, point, colour in zip(_PARTS, contacts, (THUMB, WRAP, WRAP), strict=True):
             radius = (0.018 if first else 0.010) * self._size
             scene.add_icosphere(f"{name}/{part}", radius, colour, position=point)

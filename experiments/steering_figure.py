@@ -32,7 +32,7 @@ from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
-from mjx_grasp.viz.heatmap import best_axes, subject_of
+from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of
 
 CASES = (
     ("mustard_bottle", "the top"),
@@ -107,6 +107,7 @@ def main(config: FigureConfig) -> None:
         "Mean distance of the three chosen contacts from the anchor",
         columns=len(CASES),
         cell_pixels=config.cell_pixels,
+        scale="score over the best one",
     )
     write_png(config.out, sheet, 1000 * config.max_kb)
     settings = {"span_m": hand.span, "friction": hand.scoring_friction}
@@ -124,8 +125,10 @@ def _mesh(name: str, objects_dir: Path | None) -> tuple[trimesh.Trimesh, str]:
     return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale), "scan"
 
 
-def _subject(heatmap: Heatmap, mesh, scores, chosen, sigma, anchor):
-    return subject_of(heatmap, mesh.faces, scores[sigma], chosen[sigma], anchor)
+def _subject(heatmap: Heatmap, mesh, scores, chosen, sigma, anchor) -> Subject:
+    """Coloured relative to the best: steering lowers all scores of a far place alike."""
+    relative = scores[sigma] / max(float(scores[sigma].max()), 1e-12)
+    return subject_of(heatmap, mesh.faces, relative, chosen[sigma], anchor)
 
 
 def _distances(heatmap: Heatmap, triple: Triples, anchor: np.ndarray) -> dict[str, Any]:

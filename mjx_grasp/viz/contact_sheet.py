@@ -22,7 +22,7 @@ _ASPECT = 1.6  # of a whole sheet
 _MOST_PIXELS = 8000  # of a sheet's side
 _PAD = 0.05  # of a cell
 _LEAST_WIDTH = 52  # letters: colour bar and legend side by side
-_COLOURS = 256
+_TONE_STEPS = (1, 2, 3, 4, 6, 8)  # of 255; 4 is not seen on shaded surfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ def contact_sheet(
     columns: int | None = None,
     cell_pixels: int = 300,
     top: float = 1.0,
+    scale: str = "score",
     done: Callable[[], None] = lambda: None,
 ) -> Image.Image:
     """Draws all cells on a grid, with a colour bar and a legend of the marks.
@@ -55,6 +56,7 @@ def contact_sheet(
         columns: Cells in a row; as many as give a sheet a screen's shape if None.
         cell_pixels: Side of a cell; made smaller where the sheet would become enormous.
         top: The score that gets the yellow end of the scale.
+        scale: What the colours mean.
         done: Called after each cell, for a progress bar.
 
     Raises:
@@ -86,33 +88,32 @@ def contact_sheet(
         _centred(pen, middle, y + cell_pixels - 0.3 * font, cell.title, _INK, font, cell_pixels)
         _centred(pen, middle, y + cell_pixels + font, cell.note, _GREY, font, cell_pixels)
         done()
-    _draw_bar(sheet, pen, pad, height - foot + font, font, top)
+    _draw_bar(sheet, pen, pad, height - foot + font, font, top, scale)
     _draw_legend(pen, cells, width - pad, height - foot + 1.5 * font, font)
     return sheet
 
 
 def write_png(path: str | Path, sheet: Image.Image, max_bytes: int | None = None) -> None:
-    """Writes a sheet as PNG, all or nothing; with a palette where it would be larger than asked.
+    """Writes a sheet as PNG, all or nothing; with fewer tones where it would be too large.
 
     Raises:
-        InputError: It is larger even then.
+        InputError: It is larger than asked for even with the fewest tones.
     """
+    tones = np.asarray(sheet)
     with replacing(path) as temporary:
-        sheet.save(temporary, optimize=True)
-        if max_bytes is None or temporary.stat().st_size <= max_bytes:
-            return
-        for dither in (Image.Dither.FLOYDSTEINBERG, Image.Dither.NONE):
-            sheet.quantize(_COLOURS, dither=dither).save(temporary, optimize=True)
-            if temporary.stat().st_size <= max_bytes:
+        for step in _TONE_STEPS:
+            coarse = np.where(tones == 255, 255, np.round(tones / step) * step).clip(0, 255)
+            Image.fromarray(coarse.astype(np.uint8)).save(temporary, optimize=True)
+            size = temporary.stat().st_size
+            if max_bytes is None or size <= max_bytes:
                 return
-        size = temporary.stat().st_size
         raise InputError("max_bytes", max_bytes, f"at least {size} bytes: fewer or smaller cells")
 
 
-def _draw_bar(sheet, pen, x: float, y: float, font: int, top: float) -> None:
+def _draw_bar(sheet, pen, x: float, y: float, font: int, top: float, scale: str) -> None:
     width, thick = 14 * font, round(0.9 * font)
-    pen.text((x, y), "score", _INK, _font(font), anchor="lt")
-    x += 4 * font
+    pen.text((x, y), scale, _INK, _font(font), anchor="lt")
+    x += _font(font).getlength(scale) + font
     colours = score_colours(np.linspace(0.0, top, width), top)
     bar = Image.fromarray(np.repeat(colours[None], thick, axis=0))
     sheet.paste(bar, (round(x), round(y)))

@@ -29,6 +29,8 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import subject_of
 
+SCHEMA = "mjx_grasp.heatmaps/1"
+
 
 @dataclass(frozen=True)
 class FigureConfig:
@@ -75,7 +77,7 @@ def main(config: FigureConfig) -> None:
     )
     write_png(config.out, sheet, 1000 * config.max_kb)
     meshes = [asdict(row) for row in rows]
-    content = {"objects": meshes, "provenance": provenance(0)}
+    content = {"schema": SCHEMA, "rows": meshes, "provenance": provenance(0)}
     with replacing(config.results) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")
     Console().print(summary_table(rows))

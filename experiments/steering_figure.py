@@ -34,6 +34,8 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of
 
+SCHEMA = "mjx_grasp.steering/1"
+
 CASES = (
     ("mustard_bottle", "the top"),
     ("pitcher_base_scaled", "the body"),
@@ -111,7 +113,12 @@ def main(config: FigureConfig) -> None:
     )
     write_png(config.out, sheet, 1000 * config.max_kb)
     settings = {"span_m": hand.span, "friction": hand.scoring_friction}
-    content = {"rows": rows, "settings": settings, "provenance": provenance(0)}
+    content = {
+        "schema": SCHEMA,
+        "rows": rows,
+        "settings": settings,
+        "provenance": provenance(0),
+    }
     with replacing(config.results) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")
     Console().print(_table(rows))

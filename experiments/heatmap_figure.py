@@ -72,12 +72,19 @@ def main(config: FigureConfig) -> None:
         cells.append(Cell(name.replace("_", " "), f"best {best:.2f}", subject))
     span = [1e3 * length for length in hand.span]
     subtitle = f"hand span {span[0]:g} to {span[1]:g} mm, friction {hand.scoring_friction:g}"
+    start = time.perf_counter()
     sheet = contact_sheet(
         cells, "Grasp-affordance heatmaps", subtitle, config.columns, config.cell_pixels
     )
+    drawing = time.perf_counter() - start
     write_png(config.out, sheet, 1000 * config.max_kb)
     meshes = [asdict(row) for row in rows]
-    content = {"schema": SCHEMA, "rows": meshes, "provenance": provenance(0)}
+    content = {
+        "schema": SCHEMA,
+        "rows": meshes,
+        "drawing_seconds": drawing,
+        "provenance": provenance(0),
+    }
     with replacing(config.results) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")
     Console().print(summary_table(rows))

@@ -28,6 +28,7 @@ from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.geometry.mesh import mass_properties
 from mjx_grasp.heatmap import Heatmap, HeatmapConfig, compute_heatmap, steer
 from mjx_grasp.heatmap.files import HeatmapInfo, save_heatmap, write_ply
+from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
 from mjx_grasp.heatmap.summary import GOOD, Row, summary_table, write_summary, write_triples
 from mjx_grasp.language.grounding import target_of
@@ -57,6 +58,9 @@ class HeatmapsConfig:
     front, back, middle) or, for a scan of the catalogue, one of its parts."""
     sigma: float = 0.030
     """How near to the anchor a grasp's axis should pass [m]."""
+    between_contacts: bool = False
+    """Steers to grasps whose contacts have the anchor between them, not only in line with it (an
+    addition to the publication's method)."""
     span: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="MIN MAX")] = None
     """Narrowest and widest grasp [m]; the shipped hand's by default."""
     friction: float | None = None
@@ -181,7 +185,8 @@ def _make_one(
     vertices, faces = np.asarray(job.mesh.vertices), np.asarray(job.mesh.faces)
     heatmap = compute_heatmap(vertices, faces, None, span, friction, config.heatmap)
     if job.anchor is not None:
-        score = steer(heatmap, jnp.asarray(job.anchor), config.sigma)
+        steering = steer_near if config.between_contacts else steer
+        score = steering(heatmap, jnp.asarray(job.anchor), config.sigma)
         heatmap = heatmap._replace(score=score)
     heatmap = jax.tree.map(np.asarray, heatmap)
     seconds = time.perf_counter() - start

@@ -80,7 +80,7 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
 def main(config: ViewConfig) -> None:
     """Serves until it is interrupted."""
     import_viser()  # a missing extra is an error before anything long
-    settings = Settings(config.anchor, config.sigma, config.triples)
+    settings = Settings(config.anchor, config.sigma, triples=config.triples)
     viewer = Viewer(*load(config), settings, config.host, config.port)
     print(f"{viewer.url} shows {viewer.target.name}; Ctrl-C ends it", flush=True)
     try:

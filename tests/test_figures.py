@@ -35,8 +35,10 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
     out, results = tmp_path / "steering.png", tmp_path / "steering.json"
     figure.main(figure.FigureConfig(sigmas=(0.02,), drawn_sigma=0.02, out=out, results=results))
     content = json.loads(results.read_text())
-    default, steered = content["rows"]
+    default, line, steered = content["rows"]
+    assert [r["steering"] for r in content["rows"]] == ["default", "in line", "between contacts"]
     assert default["sigma_m"] is None and steered["sigma_m"] == 0.02
+    assert line["contacts_mm"] < default["contacts_mm"] - 30
     assert steered["contacts_mm"] < default["contacts_mm"] - 30
     contacts, anchor = np.array(steered["contacts_m"]), np.array(steered["anchor_m"])
     mean = np.linalg.norm(contacts - anchor, axis=1).mean()

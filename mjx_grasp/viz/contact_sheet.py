@@ -85,8 +85,8 @@ def contact_sheet(
         picture = draw(cell.subject, side, side, cell.axes, top)
         sheet.paste(Image.fromarray(picture), (x + pad, y + pad))
         middle = x + cell_pixels / 2
-        _centred(pen, middle, y + cell_pixels - 0.3 * font, cell.title, _INK, font, cell_pixels)
-        _centred(pen, middle, y + cell_pixels + font, cell.note, _GREY, font, cell_pixels)
+        _centred(pen, middle, y + cell_pixels - 0.5 * font, cell.title, _INK, font, cell_pixels)
+        _centred(pen, middle, y + cell_pixels + 0.8 * font, cell.note, _GREY, font, cell_pixels)
         done()
     _draw_bar(sheet, pen, pad, height - foot + font, font, top, scale)
     _draw_legend(pen, cells, width - pad, height - foot + 1.5 * font, font)
@@ -151,7 +151,7 @@ def _centred(pen, x: float, y: float, text: str, colour, size: int, room: float)
     font = _font(size)
     while text and font.getlength(text) > room:
         text = text[:-2] + "…"
-    pen.text((x, y), text, colour, font, anchor="mt")
+    pen.text((x, y), text, colour, font, anchor="ma")  # from the ascender: one line for all
 
 
 @cache

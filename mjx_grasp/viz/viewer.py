@@ -126,6 +126,7 @@ class Viewer:
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
         self.sigma = gui.add_slider("sigma [mm]", 5.0, 60.0, 1.0, 1e3 * settings.sigma)
+        self.between = gui.add_checkbox("between contacts", settings.between_contacts)
         self.triples = gui.add_slider("triples", 1, _MOST_TRIPLES, 1, settings.triples)
         self.to_best = gui.add_checkbox("yellow is the best score", settings.to_best)
         self.instruction = gui.add_text("go to", "", hint="by the handle, the top, …")
@@ -140,6 +141,10 @@ class Viewer:
         @self.sigma.on_update
         def _(_event: Any) -> None:
             self.set(sigma=1e-3 * self.sigma.value)
+
+        @self.between.on_update
+        def _(_event: Any) -> None:
+            self.set(between_contacts=self.between.value)
 
         @self.triples.on_update
         def _(_event: Any) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap import Heatmap, steer
 from mjx_grasp.heatmap.colours import score_colours
+from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmap.sampling import Triples, sample_triples
 
 
@@ -24,6 +25,8 @@ class Settings:
     """Object frame [m]; None for the default heatmap."""
     sigma: float = 0.030
     """Scale of the distance from the anchor to a grasp's axis [m]."""
+    between_contacts: bool = False
+    """Whether the anchor should lie between the contacts, and not only in line with them."""
     triples: int = 3
     """How many of the best triples are drawn."""
     to_best: bool = True
@@ -71,7 +74,8 @@ def show(heatmap: Heatmap, settings: Settings, min_distance: float = 0.02) -> Sh
     """
     score = heatmap.score
     if settings.anchor is not None:
-        score = steer(heatmap, jnp.asarray(settings.anchor), settings.sigma)
+        steering = steer_near if settings.between_contacts else steer
+        score = steering(heatmap, jnp.asarray(settings.anchor), settings.sigma)
     drawn = sample_triples(
         jax.random.key(0), heatmap, settings.triples, score,
         temperature=0.0, min_distance=min_distance, min_score=0.0,

@@ -87,3 +87,9 @@ def test_in_words():
 def test_settings_that_cannot_work_are_refused(field, value):
     with pytest.raises(InputError, match=field):
         Settings(**{field: value})
+
+
+def test_between_the_contacts_is_stricter_than_in_line():
+    above = (0.0, 0.0, 0.1)
+    line, near = (show(PLATE, Settings(above, between_contacts=b)) for b in (False, True))
+    assert line.best > 0.7 and near.best < 0.01

@@ -50,6 +50,7 @@ class FigureConfig:
 
 def main(config: FigureConfig) -> None:
     """Computes, draws and writes."""
+    made = provenance(0)  # before anything is written, so that the revision is not dirty by it
     hand = load_robot().hand
     rows, cells = [], []
     for name in track(resolve(config.objects), "heatmaps", console=Console(stderr=True)):
@@ -83,7 +84,7 @@ def main(config: FigureConfig) -> None:
         "schema": SCHEMA,
         "rows": meshes,
         "drawing_seconds": drawing,
-        "provenance": provenance(0),
+        "provenance": made,
     }
     with replacing(config.results) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")

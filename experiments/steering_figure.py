@@ -69,6 +69,7 @@ class FigureConfig:
 
 def main(config: FigureConfig) -> None:
     """Computes, draws and writes."""
+    made = provenance(0)  # before anything is written, so that the revision is not dirty by it
     hand = load_robot().hand
     rows: list[dict[str, Any]] = []
     cells: dict[str, list[Cell]] = {kind: [] for kind in KINDS}
@@ -119,7 +120,7 @@ def main(config: FigureConfig) -> None:
         "schema": SCHEMA,
         "rows": rows,
         "settings": settings,
-        "provenance": provenance(0),
+        "provenance": made,
     }
     with replacing(config.results) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")

@@ -13,6 +13,7 @@ from PIL import Image
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.files import load_heatmap
+from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmaps import main
 
 
@@ -119,19 +120,21 @@ def test_the_contact_sheet_shows_every_mesh(done):
     # Thumb marks: one red blob per mesh, and one in the legend.
     from scipy.ndimage import binary_closing, label
 
-    red = (np.abs(sheet - [235, 60, 40]).max(axis=2) < 40)  # fmt: skip
+    red = np.abs(sheet - [235, 60, 40]).max(axis=2) < 40
     assert label(binary_closing(red, iterations=2))[1] == len(GOOD) + 1
 
 
 def test_an_anchor_steers_and_flags_override_the_hand(folder, tmp_path):
     run = heatmaps(
         folder / "slab.obj", "--out", tmp_path, "--anchor", "0.03", "0.0", "-0.04", "--sigma",
-        "0.01", "--span", "0.03", "0.05", "--friction", "0.7",
+        "0.01", "--span", "0.03", "0.05", "--friction", "0.7", "--between-contacts",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     stored = load_heatmap(tmp_path / "slab.npz")
     assert stored.info.anchor == (0.03, 0.0, -0.04) and stored.info.sigma == 0.01
     assert (stored.info.span, stored.info.friction) == ((0.03, 0.05), 0.7)
+    expected = steer_near(stored.heatmap, np.float32([0.03, 0.0, -0.04]), 0.01)
+    assert np.allclose(stored.heatmap.score, expected, atol=1e-6)
     best = stored.heatmap.vertices[np.argmax(stored.heatmap.score)]
     assert np.linalg.norm(best[[0, 2]] - [0.03, -0.04]) < 0.021
 

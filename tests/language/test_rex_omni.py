@@ -1,10 +1,11 @@
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.language import GroundingError, RexOmniConfig, RexOmniGrounder, Target, View
 from mjx_grasp.language.camera import PinholeCamera
 from mjx_grasp.language.rex_omni import build_prompt, parse_points
@@ -170,3 +171,55 @@ def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InputError, match=r"mjx_grasp\[language\]"):
         RexOmniGrounder.load()
+
+
+class FakeTorch:
+    bfloat16, float32 = "bfloat16", "float32"
+
+    class cuda:
+        @staticmethod
+        def is_available():
+            return False
+
+
+def fake_transformers(asked, error=None):
+    class Model(FakeModel):
+        @classmethod
+        def from_pretrained(cls, name, **settings):
+            if error is not None:
+                raise error
+            asked["model"] = (name, settings)
+            return cls()
+
+        def to(self, device):
+            asked["device"] = device
+            return self
+
+        def eval(self):
+            return self
+
+    class Processor(FakeProcessor):
+        @classmethod
+        def from_pretrained(cls, name, **settings):
+            asked["processor"] = (name, settings)
+            return cls(answer("<500><500>"))
+
+    return SimpleNamespace(AutoProcessor=Processor, Qwen2_5_VLForConditionalGeneration=Model)
+
+
+def test_the_users_weights_are_loaded_on_the_device_there_is(monkeypatch):
+    asked = {}
+    monkeypatch.setitem(sys.modules, "torch", FakeTorch)
+    monkeypatch.setitem(sys.modules, "transformers", fake_transformers(asked))
+    model = RexOmniGrounder.load(RexOmniConfig(model="weights"))
+    assert asked["model"] == ("weights", {"dtype": "float32"}) and asked["device"] == "cpu"
+    assert asked["processor"][0] == "weights" and asked["processor"][1]["max_pixels"] == 2007040
+    assert "pixel" in model.ground("ball", seen_ball()).source
+
+
+def test_weights_that_are_not_there_are_a_file_error_that_names_the_licence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", FakeTorch)
+    error = OSError("nothing is not a folder\nlong story")
+    monkeypatch.setitem(sys.modules, "transformers", fake_transformers({}, error))
+    with pytest.raises(FileError, match=r"nothing is not a folder, expected .* research"):
+        RexOmniGrounder.load(RexOmniConfig(model="nothing"))

@@ -35,6 +35,7 @@ from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, catalogue_entry, find_meshes
 from mjx_grasp.objects.meshes import read_mesh
+from mjx_grasp.objects.refine import refined
 from mjx_grasp.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
@@ -65,6 +66,9 @@ class HeatmapsConfig:
     """Narrowest and widest grasp [m]; the shipped hand's by default."""
     friction: float | None = None
     """Scoring friction [-]; the shipped hand's by default."""
+    edge: float = 0.010
+    """Longest edge [m]: candidates are vertices, so coarse meshes are refined to it; 0 keeps the
+    mesh as it is."""
     triples: int = 5
     """How many grasp triples to write per mesh."""
     temperature: float = 0.0
@@ -89,7 +93,7 @@ class HeatmapsConfig:
                 raise InputError(f"--{name}", value, "a positive number")
         if self.triples < 1:
             raise InputError("--triples", self.triples, "at least 1")
-        for name in ("temperature", "min_distance"):
+        for name in ("temperature", "min_distance", "edge"):
             if not 0 <= getattr(self, name) < np.inf:
                 flag = f"--{name.replace('_', '-')}"
                 raise InputError(flag, getattr(self, name), "0 or more")
@@ -162,7 +166,7 @@ def _hand(config: HeatmapsConfig) -> tuple[tuple[float, float], float]:
 
 def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:
     """Reads a mesh and finds its anchor: everything that can fail, before anything long."""
-    mesh, _ = read_mesh(file.path)
+    mesh = refined(read_mesh(file.path)[0], config.edge)
     if config.instruction is not None:
         target = target_of(file.name, mesh, catalogue_entry(file.name))
         found = PartGrounder().ground(config.instruction, target)

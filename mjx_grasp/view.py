@@ -23,6 +23,7 @@ from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.language.grounding import Target, target_of
 from mjx_grasp.objects.folder import catalogue_entry
 from mjx_grasp.objects.meshes import read_mesh
+from mjx_grasp.objects.refine import refined
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.viewer import Viewer, import_viser
 from mjx_grasp.viz.viewer_state import Settings
@@ -44,6 +45,9 @@ class ViewConfig:
     """Narrowest and widest grasp [m]; the shipped hand's by default."""
     friction: float | None = None
     """Scoring friction [-]; the shipped hand's by default."""
+    edge: float = 0.010
+    """Longest edge [m]: candidates are vertices, so coarse meshes are refined to it; 0 keeps the
+    mesh as it is."""
     host: str = "127.0.0.1"
     """Address to serve on; 0.0.0.0 lets other machines in."""
     port: int = 8080
@@ -64,7 +68,7 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
         stored = load_heatmap(config.mesh)
         mesh = trimesh.Trimesh(np.asarray(stored.heatmap.vertices), stored.faces, process=False)
         return stored, target_of(stored.info.name, mesh, catalogue_entry(stored.info.name))
-    mesh, _ = read_mesh(config.mesh)
+    mesh = refined(read_mesh(config.mesh)[0], config.edge)
     hand = load_robot().hand
     span = config.span or hand.span
     friction = config.friction or hand.scoring_friction

@@ -16,6 +16,8 @@ from mjx_grasp.heatmap.files import load_heatmap
 from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmaps import main
 
+COARSE = ("--edge", "0.04")
+
 
 def heatmaps(*arguments, **options):
     return subprocess.run(
@@ -47,7 +49,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def done(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "new"
-    return heatmaps(folder, "--out", out, "--triples", "3"), out
+    return heatmaps(folder, "--out", out, "--triples", "3", *COARSE), out
 
 
 GOOD = ["ball_glb", "ball_off", "ball_ply", "ball_stl", "slab"]
@@ -128,6 +130,7 @@ def test_an_anchor_steers_and_flags_override_the_hand(folder, tmp_path):
     run = heatmaps(
         folder / "slab.obj", "--out", tmp_path, "--anchor", "0.03", "0.0", "-0.04", "--sigma",
         "0.01", "--span", "0.03", "0.05", "--friction", "0.7", "--between-contacts",
+        "--edge", "0.02",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     stored = load_heatmap(tmp_path / "slab.npz")
@@ -139,6 +142,14 @@ def test_an_anchor_steers_and_flags_override_the_hand(folder, tmp_path):
     assert np.linalg.norm(best[[0, 2]] - [0.03, -0.04]) < 0.021
 
 
+def test_a_box_of_eight_vertices_is_refined_until_it_can_be_grasped(tmp_path):
+    trimesh.creation.box(extents=(0.03, 0.04, 0.05)).export(tmp_path / "box.stl")
+    run = heatmaps(tmp_path / "box.stl", "--out", tmp_path / "out")
+    assert run.returncode == 0, run.stderr
+    heatmap = load_heatmap(tmp_path / "out" / "box.npz").heatmap
+    assert len(heatmap.score) > 100 and heatmap.score.max() > 0.8
+
+
 def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_path):
     meshes = tmp_path / "meshes"
     meshes.mkdir()
@@ -146,14 +157,16 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
     mug.apply_translation([0.5, 0.0, 0.0])
     mug.export(meshes / "025_mug.ply")
     slab().export(meshes / "slab.obj")
-    run = heatmaps(meshes, "--out", tmp_path / "out", "--instruction", "by the handle")
+    run = heatmaps(meshes, "--out", tmp_path / "out", "--instruction", "by the handle", *COARSE)
     assert run.returncode == 1
     assert "failed: slab: 'by the handle'" in run.stderr and "top, bottom" in run.stderr
     anchor = load_heatmap(tmp_path / "out" / "025_mug.npz").info.anchor
     assert np.allclose(anchor, [0.545, -0.039, 0.003], atol=1e-3)
-    run = heatmaps(meshes / "slab.obj", "--out", tmp_path / "top", "--instruction", "the top")
+    run = heatmaps(
+        meshes / "slab.obj", "--out", tmp_path / "top", "--instruction", "the top", *COARSE
+    )
     assert run.returncode == 0, run.stderr
-    assert np.allclose(load_heatmap(tmp_path / "top" / "slab.npz").info.anchor, [0, 0, 0.06])
+    assert np.allclose(load_heatmap(top / "slab.npz").info.anchor, [0, 0, 0.06])
 
 
 @pytest.mark.parametrize(
@@ -172,6 +185,7 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         (["{folder}", "--sigma", "-1"], "--sigma"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),
+        (["{folder}", "--edge", "-1"], "--edge"),
         (["{folder}", "--out", "{folder}/readme.txt"], "a folder"),
     ],
 )

@@ -166,7 +166,7 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         meshes / "slab.obj", "--out", tmp_path / "top", "--instruction", "the top", *COARSE
     )
     assert run.returncode == 0, run.stderr
-    assert np.allclose(load_heatmap(top / "slab.npz").info.anchor, [0, 0, 0.06])
+    assert np.allclose(load_heatmap(tmp_path / "top" / "slab.npz").info.anchor, [0, 0, 0.06])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from mjx_grasp.errors import FileError
 from mjx_grasp.objects.surface import inside
 
-EXTENSIONS = (".obj", ".ply", ".stl")
+EXTENSIONS = (".obj", ".ply", ".stl", ".glb", ".off")
 MIN_EXTENT, MAX_EXTENT = 0.005, 1.0  # m, for each of the three extents
 _MAX_HOLE = 0.15  # a hole's largest extent over the mesh's diagonal that is still filled
 _MAX_DROPPED = 0.02  # share of the faces that may go because their edges have more than two faces
@@ -38,7 +38,7 @@ def read_mesh(path: str | Path) -> tuple[trimesh.Trimesh, MeshReport]:
     """Reads a mesh in metres and repairs it to a closed surface with outward winding.
 
     Args:
-        path: An .obj, .ply or .stl file.
+        path: An .obj, .ply, .stl, .glb or .off file.
 
     Raises:
         FileError: The file is missing, of another kind, not readable, empty, not finite, in the

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh, repair, split
+from mjx_grasp.objects.meshes import EXTENSIONS, centred, find_scan, read_mesh, repair, split
 
 
 def ball(radius=0.04, subdivisions=3):
@@ -93,7 +93,18 @@ def test_a_missing_file_is_refused(tmp_path):
         read_mesh(tmp_path / "gone.obj")
 
 
-@pytest.mark.parametrize("name", ["thing.glb", "thing", "thing.obj.bak"])
+@pytest.mark.parametrize("extension", EXTENSIONS)
+def test_every_kind_of_file_is_read_alike(tmp_path, extension):
+    mesh = ball()
+    mesh.apply_translation([0.1, -0.2, 0.3])
+    path = tmp_path / f"ball{extension}"
+    mesh.export(path)
+    read, _ = read_mesh(path)
+    assert np.allclose(read.bounds, mesh.bounds, atol=1e-6)
+    assert_closed_and_outward(read, mesh.volume, 1e-5)
+
+
+@pytest.mark.parametrize("name", ["thing.step", "thing", "thing.obj.bak"])
 def test_an_unknown_extension_is_refused_even_if_the_file_exists(tmp_path, name):
     path = tmp_path / name
     path.write_text("v 0 0 0\n")

@@ -1,0 +1,96 @@
+"""The heatmaps of all train objects on one sheet.
+
+python experiments/heatmap_figure.py --objects-dir SCANS
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.sampling import best_triple
+from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
+from mjx_grasp.objects.catalogue import load_catalogue, resolve
+from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
+from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.heatmap import subject_of
+
+SCHEMA = "mjx_grasp.heatmaps/1"
+
+
+@dataclass(frozen=True)
+class FigureConfig:
+    """What to draw."""
+
+    objects_dir: Path | None = None
+    """Folder of real scans; parametric stand-ins without one."""
+    objects: tuple[str, ...] = ("train",)
+    """Objects or groups."""
+    out: Path = Path("docs/heatmaps.png")
+    results: Path = Path("experiments/results/heatmaps.json")
+    columns: int = 7
+    cell_pixels: int = 220
+    max_kb: int = 400
+    """Largest picture."""
+
+
+def main(config: FigureConfig) -> None:
+    """Computes, draws and writes."""
+    made = provenance(0)  # before anything is written, so that the revision is not dirty by it
+    hand = load_robot().hand
+    rows, cells = [], []
+    for name in track(resolve(config.objects), "heatmaps", console=Console(stderr=True)):
+        info = load_catalogue()[name]
+        if config.objects_dir is None:
+            mesh, file = stand_in(info.scan_of, info.scale), "stand-in"
+        else:
+            path = find_scan(config.objects_dir, info.scan_names)
+            mesh, file = centred(read_mesh(path)[0], info.scale), path.name
+        start = time.perf_counter()
+        heatmap = compute_heatmap(
+            np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,
+            hand.scoring_friction,
+        )  # fmt: skip
+        heatmap = jax.tree.map(np.asarray, heatmap)
+        seconds = time.perf_counter() - start
+        best, share = float(heatmap.score.max()), float(np.mean(heatmap.score > GOOD))
+        rows.append(Row(name, file, len(mesh.vertices), len(mesh.faces), best, share, seconds))
+        subject = subject_of(heatmap, mesh.faces, triple=best_triple(heatmap))
+        cells.append(Cell(name.replace("_", " "), f"best {best:.2f}", subject))
+    span = [1e3 * length for length in hand.span]
+    subtitle = f"hand span {span[0]:g} to {span[1]:g} mm, friction {hand.scoring_friction:g}"
+    start = time.perf_counter()
+    sheet = contact_sheet(
+        cells, "Grasp-affordance heatmaps", subtitle, config.columns, config.cell_pixels
+    )
+    drawing = time.perf_counter() - start
+    write_png(config.out, sheet, 1000 * config.max_kb)
+    meshes = [asdict(row) for row in rows]
+    content = {
+        "schema": SCHEMA,
+        "rows": meshes,
+        "drawing_seconds": drawing,
+        "provenance": made,
+    }
+    with replacing(config.results) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n")
+    Console().print(summary_table(rows))
+    print(f"written: {config.out}, {config.results}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(FigureConfig, description=__doc__)))

@@ -1,0 +1,95 @@
+"""What every grounder takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int, UInt8
+
+from mjx_grasp.errors import MjxGraspError
+from mjx_grasp.language.camera import PinholeCamera
+from mjx_grasp.objects.catalogue import ObjectInfo, Point
+
+
+class GroundingError(MjxGraspError, ValueError):
+    """An instruction, an answer or a picture that leads to no point on the object.
+
+    Args:
+        instruction: What was asked for.
+        found: What came of it.
+        expected: What would have worked.
+    """
+
+    def __init__(self, instruction: str, found: str, expected: str):
+        self.instruction, self.found, self.expected = instruction, found, expected
+        super().__init__(f"{instruction!r}: {found}; expected {expected}")
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a camera sees of the object."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+    """Along the optical axis [m]; 0, negative or not finite where it was not measured."""
+    camera: PinholeCamera
+    R_wo: Float[np.ndarray, "3 3"]
+    """Object's orientation in the world."""
+    p_wo: Float[np.ndarray, " 3"]
+    """Object's origin in the world [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The object that instructions are about. Lengths in [m], object frame."""
+
+    name: str
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    parts: Mapping[str, Point] = field(default_factory=dict)
+    """Centre points of named parts."""
+    view: View | None = None
+    """For grounders that look."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A point on or near the object that steers the heatmap."""
+
+    point: Float[np.ndarray, " 3"]
+    """Object frame [m]."""
+    source: str
+    """Where it comes from, in words: a part, a side, a pixel."""
+
+
+class Grounder(Protocol):
+    """Anything that finds the anchor that an instruction means."""
+
+    def ground(self, instruction: str, target: Target) -> Anchor:
+        """The anchor in the object frame.
+
+        Raises:
+            GroundingError: The instruction leads to no point on the object.
+        """
+        ...
+
+
+def target_of(name: str, mesh: trimesh.Trimesh, info: ObjectInfo | None = None) -> Target:
+    """A mesh as a target; named parts come from the catalogue.
+
+    The catalogue has its parts relative to the centre of the bounding box; they are moved to the
+    frame of the mesh, wherever its origin lies.
+
+    Args:
+        name: Of the object.
+        mesh: In [m].
+        info: The object's entry of the catalogue, if it is of the catalogue.
+    """
+    centre = np.asarray(mesh.bounds, np.float64).mean(axis=0)
+    parts = {} if info is None else info.parts
+    moved = {part: tuple(float(x) for x in np.add(p, centre)) for part, p in parts.items()}
+    return Target(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), moved)  # type: ignore[arg-type]

@@ -1,0 +1,244 @@
+"""A viewer in the browser: the heatmap on the mesh, an anchor to drag, triples that follow live.
+
+Needs the extra ``viewer`` (viser), which is imported when a viewer is made.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, UInt8
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.heatmap.files import StoredHeatmap
+from mjx_grasp.language.grounding import GroundingError, Target
+from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.viz.heatmap import THUMB, WRAP
+from mjx_grasp.viz.viewer_state import Settings, Shown, show
+
+_MOST_TRIPLES = 8
+_PARTS = ("thumb", "index", "middle")
+_FINGER = 0.15  # length of the lines outside the contacts, of the mesh's diagonal
+_WRAP_LINE, _INK, _GREY = (90, 95, 110), (40, 40, 50), (190, 190, 198)
+
+
+def import_viser() -> ModuleType:
+    """The viser package.
+
+    Raises:
+        InputError: The extra is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise InputError("extra", f"no {error.name}", "pip install 'mjx_grasp[viewer]'") from error
+    return viser
+
+
+class Viewer:
+    """Serves one heatmap; the page follows until the object is closed.
+
+    Args:
+        stored: The heatmap and its mesh.
+        target: The object, for instructions.
+        settings: What is shown first.
+        host: Address to serve on.
+        port: Port to serve on; the next free one if it is taken.
+
+    Raises:
+        InputError: The extra is not installed.
+    """
+
+    def __init__(
+        self,
+        stored: StoredHeatmap,
+        target: Target,
+        settings: Settings | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ):
+        viser = import_viser()
+        self.heatmap, self.faces, self.target = stored.heatmap, stored.faces, target
+        self.settings = settings or Settings()
+        self._size = float(np.linalg.norm(np.ptp(np.asarray(self.heatmap.vertices), axis=0)))
+        self._centre = np.asarray(self.heatmap.vertices).reshape(-1, 3)
+        self._centre = 0.5 * (self._centre.min(axis=0) + self._centre.max(axis=0))
+        self._lock = threading.Lock()  # callbacks come from several threads
+        self.shown = show(self.heatmap, self.settings)
+        self.server = viser.ViserServer(host=host, port=port, verbose=False, label=target.name)
+        self._build_scene()
+        self._build_panel(stored.info.anchor is not None)
+        self._draw()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stops serving."""
+        self.server.stop()
+
+    def set(self, **changes: Any) -> Shown:
+        """Changes settings, and with them the page.
+
+        Raises:
+            InputError: A setting that cannot work.
+        """
+        with self._lock:
+            self.settings = replace(self.settings, **changes)
+            self.shown = show(self.heatmap, self.settings)
+            self._draw()
+            return self.shown
+
+    def _build_scene(self) -> None:
+        scene = self.server.scene
+        scene.set_up_direction("+z")
+        scene.world_axes.visible = False
+        # Even light: shading must not be taken for a score.
+        scene.add_light_ambient("/light", intensity=1.0)
+        self._mesh = scene.add_glb("/mesh", self._glb(self.shown.colours))
+        anchor = self.settings.anchor or tuple(float(x) for x in self._centre)
+        self.anchor = scene.add_transform_controls(
+            "/anchor", scale=0.35 * self._size, disable_rotations=True, depth_test=False,
+            position=anchor, visible=self.settings.anchor is not None,
+        )  # fmt: skip
+        scene.add_icosphere("/anchor/point", radius=0.018 * self._size, color=(255, 64, 200))
+
+        @self.anchor.on_update
+        def _(_event: Any) -> None:
+            x, y, z = (float(c) for c in self.anchor.position)
+            self.set(anchor=(x, y, z))
+
+        @self.server.on_client_connect
+        def _(client: Any) -> None:
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+            client.camera.position = self._centre + self._size * np.array([0.5, -0.8, 0.45])
+            client.camera.look_at = self._centre
+
+    def _build_panel(self, is_steered: bool) -> None:
+        gui, settings = self.server.gui, self.settings
+        gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
+        self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
+        self.sigma = gui.add_slider("sigma [mm]", 5.0, 60.0, 1.0, 1e3 * settings.sigma)
+        self.between = gui.add_checkbox("between contacts", settings.between_contacts)
+        self.triples = gui.add_slider("triples", 1, _MOST_TRIPLES, 1, settings.triples)
+        self.to_best = gui.add_checkbox("yellow is the best score", settings.to_best)
+        self.instruction = gui.add_text("go to", "", hint="by the handle, the top, …")
+        self._note = gui.add_markdown("")
+        if is_steered:
+            gui.add_markdown("The file's own scores are steered: they are shown without an anchor.")
+
+        @self.steered.on_update
+        def _(_event: Any) -> None:
+            self._move(tuple(self.anchor.position) if self.steered.value else None)
+
+        @self.sigma.on_update
+        def _(_event: Any) -> None:
+            self.set(sigma=1e-3 * self.sigma.value)
+
+        @self.between.on_update
+        def _(_event: Any) -> None:
+            self.set(between_contacts=self.between.value)
+
+        @self.triples.on_update
+        def _(_event: Any) -> None:
+            self.set(triples=int(self.triples.value))
+
+        @self.to_best.on_update
+        def _(_event: Any) -> None:
+            self.set(to_best=self.to_best.value)
+
+        @self.instruction.on_update
+        def _(_event: Any) -> None:
+            if self.instruction.value.strip():
+                self._ground(self.instruction.value)
+
+    def _ground(self, instruction: str) -> None:
+        try:
+            point = PartGrounder().ground(instruction, self.target).point
+        except GroundingError as error:
+            self._note.content = f"{error}"
+            return
+        self._move(tuple(point))
+
+    def _move(self, anchor: tuple[float, ...] | None) -> None:
+        """Sets the anchor from the panel; the gizmo goes with it."""
+        if anchor is not None:
+            self.anchor.position = anchor
+        self.anchor.visible = self.steered.value = anchor is not None
+        self.set(anchor=None if anchor is None else tuple(float(x) for x in anchor))
+
+    def _draw(self) -> None:
+        """Puts what is shown on the page, all at once."""
+        scene, shown = self.server.scene, self.shown
+        with self.server.atomic():
+            self._mesh.glb_data = self._glb(shown.colours)
+            for k in range(_MOST_TRIPLES):
+                exists = k < self.settings.triples and bool(shown.triples.valid[k])
+                if exists:
+                    self._draw_triple(k)
+                else:
+                    scene.remove_by_name(f"/triple/{k}")
+            anchor = self.settings.anchor
+            place = "" if anchor is None else "anchor ({:.1f}, {:.1f}, {:.1f}) mm, ".format(
+                *(1e3 * x for x in anchor)
+            )  # fmt: skip
+            self._note.content = f"{place}{shown.describe()}"
+
+    def _draw_triple(self, k: int) -> None:
+        """Contacts as spheres, joined by lines, with a line outwards where each finger comes."""
+        scene, name, drawn = self.server.scene, f"/triple/{k}", self.shown.triples
+        contacts = np.stack([drawn.thumb[k], *drawn.wrap[k]])
+        normals = np.stack([drawn.thumb_normal[k], *drawn.wrap_normals[k]])
+        outside = contacts + _FINGER * self._size * normals
+        middle = contacts[1:].mean(axis=0)
+        inside = [np.stack([contacts[0], middle]), contacts[1:]]
+        scene.add_line_segments(
+            f"{name}/grasp", np.stack(inside), _INK, thickness=2.0, thickness_units="screen"
+        )
+        first = k == 0
+        ends = np.repeat(np.array([THUMB, _WRAP_LINE, _WRAP_LINE] if first else [_GREY] * 3), 2, 0)
+        fingers, width = np.stack([contacts, outside], axis=1), 5.0 if first else 2.0
+        scene.add_line_segments(
+            f"{name}/fingers",
+            fingers,
+            ends.reshape(3, 2, 3),
+            thickness=width,
+            thickness_units="screen",
+        )
+        for part, point, colour in zip(_PARTS, contacts, (THUMB, WRAP, WRAP), strict=True):
+            radius = (0.018 if first else 0.010) * self._size
+            scene.add_icosphere(f"{name}/{part}", radius, colour, position=point)
+
+    def _glb(self, colours: UInt8[np.ndarray, "v 3"]) -> bytes:
+        """The coloured mesh as the browser takes it."""
+        mesh = trimesh.Trimesh(
+            np.asarray(self.heatmap.vertices), self.faces, process=False,
+            vertex_normals=np.asarray(self.heatmap.normals), vertex_colors=_linear(colours),
+        )  # fmt: skip
+        exported = mesh.export(file_type="glb", include_normals=True, tree_postprocessor=_matte)
+        assert isinstance(exported, bytes)
+        return exported
+
+
+def _matte(tree: dict[str, Any]) -> None:
+    """Gives a glTF tree a dull material: its default is bare metal, which swallows the colours."""
+    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
+    tree["materials"] = [{"pbrMetallicRoughness": dull, "doubleSided": True}]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
+
+
+def _linear(colours: UInt8[np.ndarray, "v 3"]) -> UInt8[np.ndarray, "v 3"]:
+    """The colours of glTF, which are linear, from those of pictures, which are not (sRGB)."""
+    share: Float[np.ndarray, "v 3"] = colours / 255.0
+    low = share <= 0.04045
+    linear = np.where(low, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.round(255.0 * linear).astype(np.uint8)

@@ -1,0 +1,93 @@
+"""What the viewer shows for an anchor: pure, so that it is tested without a browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy.typing import ArrayLike
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.heatmap import Heatmap, steer
+from mjx_grasp.heatmap.colours import score_colours
+from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.sampling import Triples, sample_triples
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a user sets in the viewer."""
+
+    anchor: tuple[float, float, float] | None = None
+    """Object frame [m]; None for the default heatmap."""
+    sigma: float = 0.030
+    """Scale of the distance from the anchor to a grasp's axis [m]."""
+    between_contacts: bool = False
+    """Whether the anchor should lie between the contacts, and not only in line with them."""
+    triples: int = 3
+    """How many of the best triples are drawn."""
+    to_best: bool = True
+    """Whether the yellow end of the scale is the best score, else 1."""
+
+    def __post_init__(self):
+        if not self.sigma > 0:
+            raise InputError("sigma", self.sigma, "a positive length [m]")
+        if self.triples < 1:
+            raise InputError("triples", self.triples, "at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is shown; arrays are NumPy's, object frame."""
+
+    score: Float[np.ndarray, " v"]
+    colours: UInt8[np.ndarray, "v 3"]
+    triples: Triples
+    """The best first; see ``valid`` for those that exist."""
+    top: float
+    """The score of the yellow end."""
+
+    @property
+    def best(self) -> float:
+        """The best score."""
+        return float(self.score.max())
+
+    def describe(self) -> str:
+        """The best triple in words, for people and tests; millimetres."""
+        if not self.triples.valid[0]:
+            return "no grasp"
+        thumb = _millimetres(self.triples.thumb[0])
+        wraps = " and ".join(_millimetres(p) for p in self.triples.wrap[0])
+        return f"score {self.best:.3f}, thumb {thumb}, index and middle {wraps} mm"
+
+
+def show(heatmap: Heatmap, settings: Settings, min_distance: float = 0.02) -> Shown:
+    """What the viewer shows.
+
+    Args:
+        heatmap: Candidates, one per vertex.
+        settings: What the user has set.
+        min_distance: How far apart the drawn triples are [m].
+    """
+    score = heatmap.score
+    if settings.anchor is not None:
+        steering = steer_near if settings.between_contacts else steer
+        score = steering(heatmap, jnp.asarray(settings.anchor), settings.sigma)
+    drawn = sample_triples(
+        jax.random.key(0), heatmap, settings.triples, score,
+        temperature=0.0, min_distance=min_distance, min_score=0.0,
+    )  # fmt: skip
+    values = np.asarray(score)
+    best = float(values.max())
+    top = best if settings.to_best and best > 0 else 1.0
+    shown = np.where(np.asarray(heatmap.valid), values, np.nan)
+    triples: Triples = jax.tree.map(np.asarray, drawn)
+    return Shown(values, score_colours(shown, top), triples, top)
+
+
+def _millimetres(point: ArrayLike) -> str:
+    # The sum with 0 turns a negative zero into a positive one.
+    return "({:.1f}, {:.1f}, {:.1f})".format(*(np.round(1e3 * np.asarray(point), 1) + 0.0))

@@ -1,0 +1,233 @@
+"""The viewer in a real, headless browser; and the command that starts it."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import InputError
+from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
+from mjx_grasp.language.camera import PinholeCamera
+from mjx_grasp.language.grounding import target_of
+from mjx_grasp.viz.viewer_state import Settings
+
+SIZE = {"width": 1000, "height": 700}
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
+]
+
+
+def missing(what):
+    if os.environ.get("MJX_GRASP_REQUIRE_BROWSER"):
+        pytest.fail(f"{what} is missing")
+    pytest.skip(f"{what} is missing")
+
+
+@pytest.fixture(scope="module")
+def stored():
+    mesh = trimesh.creation.box(extents=(0.06, 0.04, 0.16)).subdivide_to_size(0.03)
+    heatmap = compute_heatmap(mesh.vertices, mesh.faces, None, (0.02, 0.09), 0.5)
+    info = HeatmapInfo("box", (0.02, 0.09), 0.5, (0.0, 0.0, 0.0))
+    return StoredHeatmap(heatmap, np.asarray(mesh.faces), info), target_of("box", mesh)
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def viewer(stored):
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        missing("viser")
+    from mjx_grasp.viz.viewer import Viewer
+
+    made = Viewer(*stored, Settings(anchor=(0.0, 0.0, 0.0)), port=free_port())
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def page(viewer):
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        missing("playwright")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        missing("chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        opened = browser.new_page(viewport=SIZE)
+        opened.goto(viewer.url)
+        wait(lambda: "score" in opened.inner_text("body"), 60)
+        wait(lambda: mesh_pixels(shot(opened)).mean() > 0.02, 60)
+        yield opened
+        browser.close()
+
+
+def wait(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.2)
+
+
+def shot(page):
+    import io
+
+    return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+
+
+def mesh_pixels(picture):
+    """Where the mesh is, left of the panel: coloured and not the white of the page."""
+    part = picture[:, :660]
+    return (part.max(axis=2) - part.min(axis=2) > 30) & (part.min(axis=2) < 200)
+
+
+def yellow_height(picture):
+    """Mean row of the yellow pixels, which are the best surface."""
+    r, g, b = np.moveaxis(picture[:, :660], 2, 0)
+    rows, _ = np.nonzero((r > 150) & (g > 150) & (b < 120))
+    assert len(rows) > 30
+    return rows.mean()
+
+
+def on_screen(viewer, point):
+    """Where the page shows a point [pixels]."""
+    (client,) = viewer.server.get_clients().values()
+    eye, at = np.asarray(client.camera.position), np.asarray(client.camera.look_at)
+    forward = (at - eye) / np.linalg.norm(at - eye)
+    right = np.cross(forward, np.asarray(client.camera.up_direction))
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+    camera = PinholeCamera.from_fovy(SIZE["width"], SIZE["height"], client.camera.fov, axes, eye)
+    return camera.project(np.asarray(point))[0]
+
+
+def drag(page, start, end, steps=12):
+    page.mouse.move(*start)
+    time.sleep(0.5)  # the gizmo notices the mouse in its next frame
+    page.mouse.down()
+    for k in range(1, steps + 1):
+        page.mouse.move(*(start + (end - start) * k / steps))
+        time.sleep(0.05)
+    page.mouse.up()
+
+
+def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_factory):
+    before, text = shot(page), page.inner_text("body")
+    anchor = np.array(viewer.settings.anchor)
+    reach = 0.6 * viewer.anchor.scale
+    start = on_screen(viewer, anchor + np.array([0, 0, reach]))
+    end = on_screen(viewer, anchor + np.array([0, 0, reach + 0.05]))
+    assert end[1] < start[1] - 30
+    drag(page, start, end)
+    wait(lambda: viewer.settings.anchor[2] > 0.03)
+    assert viewer.settings.anchor[2] == pytest.approx(0.05, abs=0.01)
+    assert np.allclose(viewer.settings.anchor[:2], 0, atol=1e-6), "it moved along its arrow"
+    assert viewer.shown.triples.thumb[0][2] > 0.02
+    wait(lambda: viewer.shown.describe() in page.inner_text("body").replace("\n", " "))
+    assert viewer.shown.describe() not in text
+    wait(lambda: yellow_height(shot(page)) < yellow_height(before) - 20)
+    page.screenshot(path=tmp_path_factory.getbasetemp() / "viewer.png")
+    folder = os.environ.get("MJX_GRASP_SCREENSHOTS")
+    if folder:
+        page.screenshot(path=os.path.join(folder, "viewer.png"))
+
+
+def control(page, label):
+    """The panel's input behind a label."""
+    return page.locator(f"//label[.='{label}']/following::input[1]")
+
+
+def test_the_panel_changes_sigma_triples_and_place(viewer, page):
+    field = control(page, "go to")
+    field.fill("the bottom")
+    field.press("Enter")
+    wait(lambda: viewer.settings.anchor == pytest.approx((0.0, 0.0, -0.08), abs=1e-6))
+    wait(lambda: "anchor (0.0, 0.0, -80.0) mm" in page.inner_text("body"))
+    assert viewer.shown.triples.thumb[0][2] < -0.03
+    field.fill("by the trunk")
+    field.press("Enter")
+    wait(lambda: "no known part or side" in page.inner_text("body"))
+    before = viewer.shown.best
+    sigma = page.locator("//label[.='sigma [mm]']/following::input[@type='text'][1]")
+    sigma.fill("5")
+    sigma.press("Enter")
+    wait(lambda: viewer.settings.sigma == pytest.approx(0.005))
+    assert viewer.shown.best < before
+
+
+def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):
+    box = control(page, "anchor")
+    box.uncheck()
+    wait(lambda: viewer.settings.anchor is None)
+    assert np.array_equal(viewer.shown.score, stored[0].heatmap.score)
+    wait(lambda: "anchor (" not in page.inner_text("body"))
+    box.check()
+    wait(lambda: viewer.settings.anchor is not None)
+
+
+def test_the_command_serves_and_ends(stored, tmp_path):
+    pytest.importorskip("viser")
+    path = tmp_path / "box.npz"
+    save_heatmap(path, stored[0].heatmap, stored[0].faces, stored[0].info)
+    command = [sys.executable, "-m", "mjx_grasp.view", str(path), "--port", str(free_port())]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        line = next(line for line in process.stdout if "shows box" in line)
+        with urllib.request.urlopen(line.split()[0], timeout=20) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+        assert "Traceback" not in process.stderr.read()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["none.obj"], "none.obj"),
+        (["none.npz"], "no such file"),
+        (["none.obj", "--port", "0"], "--port"),
+        (["none.obj", "--sigma", "0"], "sigma"),
+    ],
+)
+def test_mistakes_are_refused(arguments, text, monkeypatch, capsys):
+    import tyro
+
+    from mjx_grasp.view import ViewConfig, main
+
+    pytest.importorskip("viser")
+    monkeypatch.setattr(sys, "argv", ["view", *arguments])
+    with pytest.raises(SystemExit) as end:
+        run_command(lambda: main(tyro.cli(ViewConfig)))
+    assert end.value.code == 2
+    assert text in capsys.readouterr().err
+
+
+def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
+    from mjx_grasp.viz.viewer import import_viser
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(InputError, match=r"mjx_grasp\[viewer\]"):
+        import_viser()

@@ -1,0 +1,120 @@
+"""Every number of reactive reaching, in one place (method §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mjx_grasp.handoff.config import TargetConfig
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """Task-space velocities of fingertips, pads and hand."""
+
+    speed: float = 0.5
+    """of a fingertip far from its target [m/s]"""
+    slow_down: float = 0.1
+    """distance to the target within which it slows down, proportionally [m]"""
+    path_clearance: float = 0.010
+    """a straight way this far from the object is free [m]"""
+    via_points: int = 100
+    """on a sphere around the goal, tried when the straight way is not free [-]"""
+    via_radius: float = 0.070
+    """of that sphere [m]"""
+    path_samples: int = 6
+    """of a segment, at which its clearance is measured [-]"""
+    via_period: int = 1
+    """ticks between choices of the via-points [-]"""
+    orientation_gain: float = 5.0
+    """angular speed per sine of the angle between pad normal and its goal [rad/s]"""
+    orientation_weight: float = 0.003
+    """of pads against tips, (rad/s)² against (m/s)² [m²/rad²]"""
+    orientation_angle: tuple[float, float] = (0.5235988, 0.0872665)
+    """gate that opens with the angle: 30°, 5° [rad]"""
+    arrival: tuple[float, float] = (0.030, 0.010)
+    """gate of the midpoint error that opens on arrival [m]"""
+    far: tuple[float, float] = (0.10, 0.010)
+    """gate of the midpoint error that opens far away: the hand opens there [m]"""
+    posture_gain: float = 5.0
+    """joint speed per joint error [1/s]"""
+    posture_speed: float = 1.0
+    """at most, towards the open posture [rad/s]"""
+    posture_weight: float = 0.002
+    """of a hand joint's posture against tips, (rad/s)² against (m/s)² [m²/rad²]"""
+
+
+@dataclass(frozen=True)
+class LimitConfig:
+    """What every command must respect."""
+
+    horizon: float = 0.05
+    """time over which position limits and clearances are looked ahead [s]"""
+    limit_margin: float = 0.05
+    """kept from every joint limit [rad]"""
+    object_clearance: float = 0.010
+    """hand and arm to object and obstacles [m]"""
+    arm_table_clearance: float = 0.050
+    """arm to table [m]"""
+    hand_table_clearance: float = 0.012
+    """hand to table [m]"""
+    finger_clearance: float = 0.002
+    """finger to finger [m]"""
+    escape_speed: float = 0.35
+    """at most, asked for where a clearance is violated [m/s]"""
+    follow_object: bool = False
+    """clearances and targets move with the object's own velocity"""
+    object_speed: float = 0.5
+    """apparent object speed above which it is a jump and not a motion [m/s]"""
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """The objective's regularisation and the ADMM iteration."""
+
+    arm_effort: float = 0.05
+    """R of arm joints [m²/rad²]"""
+    hand_effort: float = 0.001
+    """R of hand joints [m²/rad²]"""
+    smoothness: float = 0.01
+    """λ of the change since the last tick [m²/rad²]"""
+    iterations: int = 50
+    """warm-started, fixed [-]"""
+    rho_box: float = 0.1
+    """step of the velocity box, variables scaled [-]"""
+    rho_rows: float = 0.3
+    """step of the half-spaces [-]"""
+    relaxation: float = 1.6
+    """over-relaxation [-]"""
+    feasible: float = 0.02
+    """a command that violates a half-space by more than this is not used [m/s]"""
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """When a reach ends, and how (method §3, 'Fine-adjustment timer', 'Handoff')."""
+
+    dt: float = 0.01
+    """control period [s]"""
+    fine_distance: float = 0.140
+    """the fine-adjustment timer runs while the largest tip error is below [m]"""
+    handoff_midpoint: float = 0.010
+    """midpoint error below which the hand hands off [m]"""
+    fine_timeout: float = 3.0
+    """of the fine-adjustment timer [s]"""
+    handoff_largest: float = 0.050
+    """largest tip error with which it still hands off at the time-out [m]"""
+    reselections: int = 1
+    """tries with another candidate before a reach fails [-]"""
+    timeout: float = 10.0
+    """of the whole reach [s]"""
+
+
+@dataclass(frozen=True)
+class ReachConfig:
+    """Settings of the reaching controller."""
+
+    fields: FieldConfig = field(default_factory=FieldConfig)
+    limits: LimitConfig = field(default_factory=LimitConfig)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+    targets: TargetConfig = field(default_factory=TargetConfig)

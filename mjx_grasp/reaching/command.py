@@ -12,6 +12,7 @@ from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.reaching import fields
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody, Solids
 from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.guide import GuideGoal
 from mjx_grasp.reaching.qp import QP, WarmStart, cold_start, solve_qp
 from mjx_grasp.reaching.surroundings import (
     Proximity,
@@ -31,10 +32,12 @@ class Goals(NamedTuple):
     Attributes:
         tips: ``[3, 3]`` standoff targets of the tip frames, [m].
         pads: ``[3, 3]`` unit directions for the pad normals.
+        guide: Where a plan wants the whole hand.
     """
 
     tips: Float[Array, "3 3"]
     pads: Float[Array, "3 3"]
+    guide: GuideGoal
 
 
 class Memory(NamedTuple):
@@ -203,7 +206,8 @@ def command(
 def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle):
     """The quadratic programme of this tick."""
     tips, pads = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
-    heading, length = fields.way_points(tips, goals.tips, around, config.fields)
+    heads_for = goals.tips + goals.guide.offset
+    heading, length = fields.way_points(tips, heads_for, around, config.fields)
     v_tips = fields.tip_velocities(tips, heading, length, config.fields, config.controller.dt)
     turn, turn_weight = fields.pad_rotation(pads, goals.pads, middle, config.fields)
     turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
@@ -211,17 +215,31 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     along = jnp.einsum("fk,fkj->fj", pads, turning)
     turning = turning - pads[:, :, None] * along[:, None, :]
 
-    hand = jnp.asarray(~body.arm, q.dtype)
-    far = fields.gate(middle, *config.fields.far)
-    speed = config.fields.posture_speed
-    v_posture = jnp.clip(config.fields.posture_gain * (body.home - q), -speed, speed)
-    w_posture = hand * far * config.fields.posture_weight
-
+    v_posture, w_posture = fields.posture_velocity(body, q, goals.guide, middle, config)
     root = jnp.sqrt(turn_weight)[:, None]
-    rows = jnp.concatenate(
-        [tip_rows.reshape(9, -1), (root[:, :, None] * turning).reshape(9, -1)], axis=0
+    v_palm, w_palm = fields.palm_twist(
+        motion.pos[PALM], motion.mat[PALM], goals.guide, config.guide
     )
-    wanted = jnp.concatenate([v_tips.reshape(-1), (root * turn).reshape(-1)])
+    palm_root = jnp.sqrt(w_palm)
+    left = goals.guide.left
+    tip_root = jnp.sqrt(1.0 + left * (config.guide.tip_weight - 1.0))
+    palm = np.array([PALM])
+    palm_rows = jnp.concatenate(
+        [
+            point_jacobians(body, motion, palm, motion.pos[palm])[0],
+            angular_jacobians(body, motion, palm)[0],
+        ]
+    )
+    rows = jnp.concatenate(
+        [
+            tip_root * tip_rows.reshape(9, -1),
+            (root[:, :, None] * turning).reshape(9, -1),
+            palm_root[:, None] * palm_rows,
+        ]
+    )
+    wanted = jnp.concatenate(
+        [tip_root * v_tips.reshape(-1), (root * turn).reshape(-1), palm_root * v_palm]
+    )
     solver = config.solver
     effort = jnp.where(jnp.asarray(body.arm), solver.arm_effort, solver.hand_effort)
     diagonal = effort + solver.smoothness + w_posture

@@ -44,6 +44,34 @@ class FieldConfig:
 
 
 @dataclass(frozen=True)
+class GuideConfig:
+    """How a planned configuration guides the hand; not in the paper."""
+
+    length: float = 0.12
+    """of the funnel: how far the hand retreats [m]"""
+    aligned: float = 0.06
+    """misalignment below which the hand comes in [m]"""
+    lever: float = 0.1
+    """of a rotation error against a position error [m/rad]"""
+    speed: float = 0.6
+    """at which the hand comes in when aligned perfectly [m/s]"""
+    palm_speed: float = 0.5
+    """of the palm towards its goal, at most [m/s]"""
+    palm_gain: float = 5.0
+    """speed per error, of position and rotation [1/s]"""
+    palm_weight: float = 0.1
+    """of the palm's velocity against that of a tip [-]"""
+    palm_turn_weight: float = 0.01
+    """of its angular velocity [m²/rad²]"""
+    arm_weight: float = 0.5
+    """of an arm joint's way to the configuration [m²/rad²]"""
+    hand_weight: float = 0.05
+    """the same of a hand joint [m²/rad²]"""
+    tip_weight: float = 0.1
+    """of the tips while the whole retreat is left; 1 when nothing is [-]"""
+
+
+@dataclass(frozen=True)
 class LimitConfig:
     """What every command must respect."""
 
@@ -114,6 +142,7 @@ class ReachConfig:
     """Settings of the reaching controller."""
 
     fields: FieldConfig = field(default_factory=FieldConfig)
+    guide: GuideConfig = field(default_factory=GuideConfig)
     limits: LimitConfig = field(default_factory=LimitConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)

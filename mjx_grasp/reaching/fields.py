@@ -6,9 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import angle_between, norm, unit
-from mjx_grasp.reaching.config import FieldConfig
+from mjx_grasp.reaching.body import ReachBody
+from mjx_grasp.reaching.config import FieldConfig, GuideConfig, ReachConfig
+from mjx_grasp.reaching.guide import GuideGoal
 from mjx_grasp.reaching.surroundings import Surroundings, obstacle_distance, to_object
 
 # One violation of clearance counts more than any way round can be long, [m].
@@ -104,3 +107,46 @@ def pad_rotation(
     angle = angle_between(normals, wanted)
     weight = gate(angle, *config.orientation_angle) * (1.0 - gate(midpoint_error, *config.arrival))
     return config.orientation_gain * jnp.cross(normals, wanted), config.orientation_weight * weight
+
+
+def posture_velocity(
+    body: ReachBody,
+    q: Float[Array, " joints"],
+    guide: GuideGoal,
+    midpoint_error: Float[Array, ""],
+    config: ReachConfig,
+) -> tuple[Float[Array, " joints"], Float[Array, " joints"]]:
+    """Joint velocities of the posture [rad/s], and their weights [m²/rad²].
+
+    Far away the hand goes to the open posture. With a guide, arm and hand go to its configuration,
+    all joints in proportion, so that they arrive together.
+    """
+    field = config.fields
+    arm = jnp.asarray(body.arm)
+    far = gate(midpoint_error, *field.far)
+    v_open = field.posture_gain * (body.home - q)
+    v_open = jnp.clip(v_open, -field.posture_speed, field.posture_speed)
+    w_open = jnp.where(arm, 0.0, far * field.posture_weight)
+    v_guide = field.posture_gain * (guide.q - q)
+    most = jnp.max(jnp.abs(v_guide) / body.velocity_limit)
+    v_guide = v_guide / jnp.maximum(most, 1.0)
+    w_guide = jnp.where(arm, config.guide.arm_weight, config.guide.hand_weight)
+    return jnp.where(guide.known, v_guide, v_open), jnp.where(guide.known, w_guide, w_open)
+
+
+def palm_twist(
+    pos: Float[Array, " 3"], mat: Float[Array, "3 3"], guide: GuideGoal, config: GuideConfig
+) -> tuple[Float[Array, " 6"], Float[Array, " 6"]]:
+    """Twist of the palm towards the guide's pose, [m/s] and [rad/s], and its weights."""
+    way = guide.palm_pos - pos
+    turn = so3.log(guide.palm_mat @ mat.T)
+
+    def limited(error, most):
+        v = config.palm_gain * error
+        return v / jnp.maximum(norm(v) / most, 1.0)
+
+    twist = jnp.concatenate(
+        [limited(way, config.palm_speed), limited(turn, config.palm_speed / config.lever)]
+    )
+    weight = jnp.repeat(jnp.asarray([config.palm_weight, config.palm_turn_weight]), 3)
+    return twist, jnp.where(guide.known, weight, 0.0)

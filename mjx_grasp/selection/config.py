@@ -23,6 +23,10 @@ class SelectionConfig:
     """the wraps are swapped only if that is closer to the hand by this [rad]"""
     min_height: float = 0.015
     """no contact or target lower than this above the table [m]"""
+    min_goal_height: float = -float("inf")
+    """nor any standoff target, to which the tips go first; the paper does not ask for this [m]"""
+    standoffs: tuple[float, float] = (0.025, 0.040)
+    """of thumb and wraps outside their contacts, for the above [m]"""
     min_score: float = 0.05
     """candidates below are rejected [-]"""
     min_axis_angle: float = 0.1

@@ -117,7 +117,10 @@ def select(
         jnp.minimum(dot(candidates.wrap[:, 0], up), dot(candidates.wrap[:, 1], up)),
     )
     lowest = jnp.minimum(lowest, dot(candidates.centre, up) - jnp.abs(dot(offset, up)))
-    admissible = candidates.valid & (candidates.score >= config.min_score) & (lowest >= floor)
+    thumb_goal, wrap_goal = _goal_heights(candidates, offset, up, config.standoffs)
+    lowest_goal = p_wo[2] + jnp.minimum(thumb_goal, wrap_goal)
+    admissible = candidates.valid & (candidates.score >= config.min_score)
+    admissible &= (lowest >= floor) & (lowest_goal >= config.min_goal_height)
     cost = jnp.where(admissible, cost, jnp.inf)
 
     best = jnp.argmin(cost).astype(jnp.int32)
@@ -149,6 +152,13 @@ def select(
         index=targets.index, spread=jnp.where(valid, spread, state.spread)
     )
     return targets, new_state
+
+
+def _goal_heights(candidates, offset, up, standoffs):
+    """How high the standoff targets of thumb and lower wrap are above the object's origin, [m]."""
+    thumb = dot(candidates.thumb + standoffs[0] * candidates.normal, up)
+    wrap = dot(candidates.centre + standoffs[1] * candidates.wrap_normal, up)
+    return thumb, wrap - jnp.abs(dot(offset, up))
 
 
 def _cost(candidates, tips, opposing, config):

@@ -1,0 +1,108 @@
+"""From a planned configuration to the hand's motion: along a funnel that moves with the object.
+
+The hand first goes to a pose retreated from the planned one, out of the object's reach, and comes
+in along a straight line once it is aligned. All of it is relative to the object, so that it follows
+when the object moves, and retreats when a jump of the object has spoilt the alignment.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import norm
+from mjx_grasp.reaching.body import PALM
+from mjx_grasp.reaching.config import GuideConfig
+from mjx_grasp.robot.kinematics import Motion
+
+
+class Guide(NamedTuple):
+    """A planned grasp and the way to it, in the object frame; ``[2]`` is planned, retreated.
+
+    Attributes:
+        known: Whether there is one.
+        q: ``[2, joints]`` configurations, [rad].
+        palm_pos: ``[2, 3]`` the palm frame at them, [m].
+        palm_mat: ``[2, 3, 3]`` its rotation.
+        tip_shift: ``[3]`` from the planned standoff targets to the retreated ones, [m].
+    """
+
+    known: Bool[Array, ""]
+    q: Float[Array, "2 joints"]
+    palm_pos: Float[Array, "2 3"]
+    palm_mat: Float[Array, "2 3 3"]
+    tip_shift: Float[Array, " 3"]
+
+
+class GuideGoal(NamedTuple):
+    """Where the guide wants the hand at one tick; world frame.
+
+    Attributes:
+        known: Whether there is a guide.
+        q: ``[joints]`` configuration, [rad].
+        palm_pos: ``[3]`` of the palm frame, [m].
+        palm_mat: ``[3, 3]`` its rotation.
+        offset: ``[3]`` the retreat that is left; standoff targets shift by it, [m].
+        left: Share of the retreat that is left.
+    """
+
+    known: Bool[Array, ""]
+    q: Float[Array, " joints"]
+    palm_pos: Float[Array, " 3"]
+    palm_mat: Float[Array, "3 3"]
+    offset: Float[Array, " 3"]
+    left: Float[Array, ""]
+
+
+def no_guide(joints: int) -> Guide:
+    """The guide of a reach that has none."""
+    eye = jnp.broadcast_to(jnp.eye(3), (2, 3, 3))
+    zeros = jnp.zeros((2, joints))
+    return Guide(jnp.asarray(False), zeros, jnp.zeros((2, 3)), eye, jnp.zeros(3))
+
+
+def follow(
+    guide: Guide,
+    left: Float[Array, ""],
+    motion: Motion,
+    p_wo: Float[Array, " 3"],
+    R_wo: Float[Array, "3 3"],
+    config: GuideConfig,
+    dt: float,
+) -> tuple[GuideGoal, Float[Array, ""]]:
+    """The goal of this tick and the share of the retreat that is left after it.
+
+    Args:
+        guide: The plan.
+        left: Share of the retreat that was left after the last tick, 1 at the start.
+        motion: The robot.
+        p_wo: Object origin in world, [m].
+        R_wo: Object rotation.
+        config: Length of the funnel, alignment and speed.
+        dt: Control period, [s].
+    """
+
+    def goal_at(share):
+        between = so3.log(guide.palm_mat[1] @ guide.palm_mat[0].T)
+        pos = guide.palm_pos[0] + share * (guide.palm_pos[1] - guide.palm_pos[0])
+        mat = so3.exp(share * between) @ guide.palm_mat[0]
+        return GuideGoal(
+            known=guide.known,
+            q=guide.q[0] + share * (guide.q[1] - guide.q[0]),
+            palm_pos=p_wo + R_wo @ pos,
+            palm_mat=R_wo @ mat,
+            offset=jnp.where(guide.known, share, 0.0) * (R_wo @ guide.tip_shift),
+            left=jnp.where(guide.known, share, 0.0),
+        )
+
+    before = goal_at(left)
+    turn = norm(so3.log(before.palm_mat @ motion.mat[PALM].T))
+    misaligned = norm(before.palm_pos - motion.pos[PALM]) + config.lever * turn
+    # Aligned, the hand comes in; spoilt, it backs out.
+    inwards = jnp.clip((config.aligned - misaligned) / config.aligned, -1.0, 1.0)
+    step = config.speed * dt / config.length
+    left = jnp.clip(left - step * inwards, 0.0, 1.0)
+    return goal_at(left), left

@@ -1,0 +1,256 @@
+"""Which candidate the arm and hand can reach, and with what posture: IK from a library of starts.
+
+It tells the upper bound of every rate (the share of poses for which there is a solution at all),
+and guides selection and reaching in the presets that look ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.geometry.vectors import dot, norm, unit
+from mjx_grasp.handoff.config import SamplingConfig
+from mjx_grasp.handoff.ik import robot_arrays
+from mjx_grasp.handoff.starts import build_library
+from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
+from mjx_grasp.reaching.command import Goals
+from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.fields import midpoint, pad_goals
+from mjx_grasp.reaching.guide import Guide, no_guide
+from mjx_grasp.reaching.ik import IkConfig, IkSolution, solve_ik
+from mjx_grasp.reaching.surroundings import Surroundings
+from mjx_grasp.selection.candidates import Candidates
+from mjx_grasp.selection.config import SelectionConfig
+
+# A difference of pad directions counts as much as tips this far off, [m].
+_DIRECTION_SCALE = 0.03
+_BATCH = 4096
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """How hard a solution is looked for."""
+
+    library: int = 30_000
+    """configurations from which the starts are taken [-]"""
+    near: int = 512
+    """of them, those around the object, compared with every candidate [-]"""
+    starts: int = 32
+    """of them, the most promising, that are solved [-]"""
+    tolerance: float = 0.005
+    """largest tip error of a solution to be reached for [m]"""
+    seed: int = 0
+    """of the library"""
+    ik: IkConfig = field(default_factory=IkConfig)
+
+
+class Library(NamedTuple):
+    """Configurations with the hand about to grasp something over the table.
+
+    Attributes:
+        q: ``[l, joints]`` in [rad].
+        tips: ``[l, 3, 3]`` tip frames in world, [m].
+        pads: ``[l, 3, 3]`` pad normals.
+    """
+
+    q: Float[Array, "l joints"]
+    tips: Float[Array, "l 3 3"]
+    pads: Float[Array, "l 3 3"]
+
+
+class Plan(NamedTuple):
+    """A way to reach an object.
+
+    Attributes:
+        found: Whether a solution within the tolerance and clear of everything was found.
+        index: The candidate.
+        reach: ``[3]`` preference of the object axes that gives its reach direction.
+        spread: ``[3]`` direction of the wraps in the object frame.
+        guide: The configuration, and how to come in.
+        cost: How far it is from where the search was asked to stay, the less the better.
+        least_error: Over all clear solutions, the least of their largest tip errors, [m]; +inf if
+            all penetrate something.
+        least_penetration: Over all solutions within 20 mm, the least penetration, [m].
+        at_limit: Whether the best attempt has a joint at its limit.
+    """
+
+    found: Bool[Array, ""]
+    index: Int[Array, ""]
+    reach: Float[Array, " 3"]
+    spread: Float[Array, " 3"]
+    guide: Guide
+    cost: Float[Array, ""]
+    least_error: Float[Array, ""]
+    least_penetration: Float[Array, ""]
+    at_limit: Bool[Array, ""]
+
+
+def start_library(body: ReachBody, config: PlanConfig) -> Library:
+    """Draws the library of a robot; takes some seconds.
+
+    Raises:
+        InputError: The robot does not reach the object area.
+    """
+    arrays = robot_arrays(body.robot)
+    q = build_library(arrays, config.library, SamplingConfig(), config.seed).q
+
+    @jax.jit
+    @jax.vmap
+    def tips_and_pads(q):
+        motion = body.kinematics.motion(q)
+        return motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+
+    tips, pads = tips_and_pads(q)
+    return Library(jnp.asarray(q), tips, pads)
+
+
+class _Options(NamedTuple):
+    """All ways to assign the tips: candidates × reach axes × order of the wraps."""
+
+    index: Int[np.ndarray, " v"]
+    axis: Int[np.ndarray, " v"]
+    spread: Float[Array, "v 3"]  # object frame
+    goals: Float[Array, "v 3 3"]  # world
+    pads: Float[Array, "v 3 3"]
+    admissible: Bool[Array, " v"]
+
+
+def _options(candidates, around, selection, config) -> _Options:
+    count = candidates.score.shape[0]
+    index = np.repeat(np.arange(count), 6)
+    axis = np.tile(np.repeat(np.arange(3), 2), count)
+    sign = np.tile(np.array([1.0, -1.0], np.float32), 3 * count)
+    across = jnp.cross(jnp.eye(3)[axis], candidates.axis[index])
+    usable = norm(across) >= selection.min_axis_angle
+    spread = sign[:, None] * unit(across)
+    centre = candidates.centre[index]
+    offset = selection.wrap_spread * spread
+    contact = jnp.stack([candidates.thumb[index], centre + offset, centre - offset], axis=1)
+    wrap = candidates.wrap_normal[index]
+    normal = jnp.stack([candidates.normal[index], wrap, wrap], axis=1)
+    targets = config.targets
+    standoff = np.array([targets.thumb_standoff, *[targets.wrap_standoff] * 2], np.float32)
+    local = contact + standoff[:, None] * normal
+    up, height = around.R_wo[2], around.p_wo[2]
+    lowest = jnp.min(dot(contact, up), axis=1)
+    lowest = jnp.minimum(lowest, jnp.min(dot(candidates.wrap[index], up), axis=1))
+    admissible = (
+        usable
+        & candidates.valid[index]
+        & (candidates.score[index] >= selection.min_score)
+        & (lowest + height >= selection.min_height)
+        & (jnp.min(dot(local, up), axis=1) + height >= selection.min_goal_height)
+    )
+    goals = around.p_wo + local @ around.R_wo.T
+    return _Options(index, axis, spread, goals, jax.vmap(pad_goals)(goals), admissible)
+
+
+def plan_reach(
+    body: ReachBody,
+    config: ReachConfig,
+    selection: SelectionConfig,
+    plan: PlanConfig,
+    library: Library,
+    candidates: Candidates,
+    around: Surroundings,
+    q: Float[Array, " joints"],
+    key: Array,
+) -> Plan:
+    """Looks for a candidate and a posture to reach it, near the present configuration.
+
+    Args:
+        body: The robot.
+        config: Settings of reaching.
+        selection: Rejections of candidates.
+        plan: How hard to look.
+        library: From :func:`start_library`.
+        candidates: Of the object.
+        around: Object and obstacles.
+        q: Present configuration, [rad].
+        key: Chooses among the library's entries around the object.
+    """
+    options = _options(candidates, around, selection, config)
+    middle = 0.5 * library.tips[:, 0] + 0.25 * (library.tips[:, 1] + library.tips[:, 2])
+    distance = norm(middle - around.p_wo)
+    # A little chance, so that other keys find other starts.
+    distance = distance + 0.02 * jax.random.uniform(key, distance.shape)
+    _, near = jax.lax.top_k(-distance, plan.near)
+
+    def features(tips, pads):
+        pads = _DIRECTION_SCALE * pads
+        return jnp.concatenate([tips.reshape(-1, 9), pads.reshape(-1, 9)], axis=1)
+
+    origin = around.p_wo
+    have = features(library.tips[near] - origin, library.pads[near])
+    want = features(options.goals - origin, options.pads)
+    squares = jnp.sum(want**2, axis=1)
+    gap = jnp.where(options.admissible, squares, jnp.inf) - 2.0 * have @ want.T
+    option = jnp.argmin(gap, axis=1)
+    gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
+    _, best = jax.lax.top_k(-gap, plan.starts)
+    option, start = option[best], library.q[near[best]]
+
+    def attempt(option, start):
+        goals = Goals(options.goals[option], options.pads[option], None)
+        return solve_ik(body, config, plan.ik, goals, around, start, jnp.asarray(body.home))
+
+    found: IkSolution = jax.vmap(attempt)(option, start)
+    k, best = _best(body, plan, options, option, found, q)
+    guide = _guide(body, config, plan, options, option[k], found.q[k], around, best.found)
+    return best._replace(guide=guide)
+
+
+def _guide(body, config, plan, options, option, q, around, known) -> Guide:
+    """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
+    goals, pads = options.goals[option], options.pads[option]
+    motion = body.kinematics.motion(q)
+    middle = midpoint(goals)
+    axis = 0.5 * (goals[1] + goals[2]) - goals[0]
+    normal = unit(jnp.cross(axis, goals[1] - goals[2]))
+    # The palm's frame is at its root; the hand's extent is between it and the tips.
+    outwards = motion.pos[PALM] - middle
+    retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
+    shifted = Goals(goals + config.guide.length * retreat, pads, None)
+    retreated = solve_ik(body, config, plan.ik, shifted, around, q, q)
+    outside = body.kinematics.motion(retreated.q)
+    R = around.R_wo
+    pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
+    return Guide(
+        known=known,
+        q=jnp.stack([q, retreated.q]),
+        palm_pos=(pos - around.p_wo) @ R,
+        palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
+        tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
+    )
+
+
+def _best(body, plan, options, option, found: IkSolution, q) -> tuple[Array, Plan]:
+    """Of the attempts that succeed the one nearest in time; else the one that came closest."""
+    error = jnp.max(found.error, axis=1)
+    admissible = options.admissible[option]
+    # 1 mm: the solver trades clearance for tip errors softly.
+    good = admissible & (error <= plan.tolerance) & (found.missing <= 1e-3)
+    time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
+    lacking = 1e3 * jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
+    cost = jnp.where(admissible, time + lacking, jnp.inf)
+    k = jnp.argmin(cost)
+    clear = admissible & (found.penetration <= 0)
+    close = admissible & (error <= 0.02)
+    pick = option[k]
+    return k, Plan(
+        found=good[k],
+        index=jnp.asarray(options.index)[pick],
+        reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
+        spread=options.spread[pick],
+        guide=no_guide(len(body.lower)),
+        cost=cost[k],
+        least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
+        least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
+        at_limit=found.at_limit[k],
+    )

@@ -59,7 +59,7 @@ class Report(NamedTuple):
         error: ``[3]`` tip frames to standoff targets, [m].
         midpoint: Of midpoints, [m].
         speed: ``[3]`` of the tips under the command, [m/s].
-        feasible: Whether the programme had a solution; where not, the command is zero.
+        feasible: Whether the programme had a solution; where not, the command is zero, or escapes.
         violation: Of the half-spaces by the solver's answer, [m/s].
         object_distance: Least distance of the robot to the object, [m].
         obstacle_distance: To the obstacles, [m].
@@ -179,14 +179,17 @@ def command(
     """
     motion = body.kinematics.motion(q)
     tips = motion.pos[:FINGERS]
-    pads = motion.mat[FINGERS:PALM, :, 0]
     middle = norm(fields.midpoint(tips) - fields.midpoint(goals.tips))
     tip_rows = point_jacobians(body, motion, np.arange(FINGERS), tips)
 
     problem, near = _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     solution = solve_qp(problem, memory.warm, config.solver)
     feasible = solution.violation <= config.solver.feasible
-    x = jnp.where(feasible, solution.x, 0.0)
+    used = feasible
+    if config.solver.partial_escape:
+        worsens = jnp.max(jnp.minimum(problem.b, 0.0) - problem.A @ solution.x)
+        used |= worsens <= config.solver.feasible
+    x = jnp.where(used, solution.x, 0.0)
     obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
     table = near["table"].distance - jnp.asarray(table_clearances(body, config))
     report = Report(
@@ -209,6 +212,8 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     heads_for = goals.tips + goals.guide.offset
     heading, length = fields.way_points(tips, heads_for, around, config.fields)
     v_tips = fields.tip_velocities(tips, heading, length, config.fields, config.controller.dt)
+    if config.limits.follow_object:
+        v_tips = v_tips + around.v_wo[:3] + jnp.cross(around.v_wo[3:], goals.tips - around.p_wo)
     turn, turn_weight = fields.pad_rotation(pads, goals.pads, middle, config.fields)
     turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
     # A pad may spin about its own normal as it likes.

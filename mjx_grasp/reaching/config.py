@@ -115,6 +115,9 @@ class SolverConfig:
     """over-relaxation [-]"""
     feasible: float = 0.02
     """a command that violates a half-space by more than this is not used [m/s]"""
+    partial_escape: bool = False
+    """where not all violated clearances can be restored at once, an answer that makes none of
+    them worse is used, in place of standing still; not in the paper"""
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,9 @@ class ControllerConfig:
     """the fine-adjustment timer runs while the largest tip error is below [m]"""
     handoff_midpoint: float = 0.010
     """midpoint error below which the hand hands off [m]"""
+    handoff_tips: float = float("inf")
+    """largest tip error with which it hands off before the time-out; the paper looks at the
+    midpoint alone [m]"""
     fine_timeout: float = 3.0
     """of the fine-adjustment timer [s]"""
     handoff_largest: float = 0.050
@@ -135,6 +141,12 @@ class ControllerConfig:
     """tries with another candidate before a reach fails [-]"""
     timeout: float = 10.0
     """of the whole reach [s]"""
+    stall_time: float = float("inf")
+    """without progress after which another plan is taken; the paper waits for the time-out [s]"""
+    stall_progress: float = 0.05
+    """what counts as progress: time to the guide's configuration at full speed [s]"""
+    stall_error: float = 0.010
+    """a largest tip error below which nothing needs to progress any more [m]"""
 
 
 @dataclass(frozen=True)
@@ -147,3 +159,18 @@ class ReachConfig:
     solver: SolverConfig = field(default_factory=SolverConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     targets: TargetConfig = field(default_factory=TargetConfig)
+
+
+def paper_config() -> ReachConfig:
+    """The published controller as written."""
+    return ReachConfig()
+
+
+def default_config() -> ReachConfig:
+    """With what goes beyond the paper."""
+    return ReachConfig(
+        fields=FieldConfig(via_points=0),
+        limits=LimitConfig(follow_object=True),
+        solver=SolverConfig(partial_escape=True),
+        controller=ControllerConfig(handoff_tips=0.008, reselections=6, stall_time=0.8),
+    )

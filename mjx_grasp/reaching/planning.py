@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.ik import robot_arrays
@@ -21,8 +22,9 @@ from mjx_grasp.handoff.starts import build_library
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.command import Goals
 from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.controller import Plans
 from mjx_grasp.reaching.fields import midpoint, pad_goals
-from mjx_grasp.reaching.guide import Guide, no_guide
+from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.ik import IkConfig, IkSolution, solve_ik
 from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.selection.candidates import Candidates
@@ -30,7 +32,8 @@ from mjx_grasp.selection.config import SelectionConfig
 
 # A difference of pad directions counts as much as tips this far off, [m].
 _DIRECTION_SCALE = 0.03
-_BATCH = 4096
+# Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
+_LACKING, _FAILED = 1e3, 1e4
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,12 @@ class PlanConfig:
     """of them, those around the object, compared with every candidate [-]"""
     starts: int = 32
     """of them, the most promising, that are solved [-]"""
+    kept: int = 3
+    """plans that differ, for re-selection [-]"""
+    differs: float = 0.05
+    """palm poses this far apart differ, a turn counting with the lever below [m]"""
+    lever: float = 0.1
+    """of the palm's turn against its displacement [m/rad]"""
     tolerance: float = 0.005
     """largest tip error of a solution to be reached for [m]"""
     seed: int = 0
@@ -64,28 +73,20 @@ class Library(NamedTuple):
     pads: Float[Array, "l 3 3"]
 
 
-class Plan(NamedTuple):
-    """A way to reach an object.
+class Search(NamedTuple):
+    """What a search found.
 
     Attributes:
-        found: Whether a solution within the tolerance and clear of everything was found.
-        index: The candidate.
-        reach: ``[3]`` preference of the object axes that gives its reach direction.
-        spread: ``[3]`` direction of the wraps in the object frame.
-        guide: The configuration, and how to come in.
-        cost: How far it is from where the search was asked to stay, the less the better.
+        plans: The best first; of those that are not ``guide.known`` no attempt succeeded.
+        cost: ``[p]`` time to get there and what is lacking, [s]; the less the better.
         least_error: Over all clear solutions, the least of their largest tip errors, [m]; +inf if
             all penetrate something.
         least_penetration: Over all solutions within 20 mm, the least penetration, [m].
         at_limit: Whether the best attempt has a joint at its limit.
     """
 
-    found: Bool[Array, ""]
-    index: Int[Array, ""]
-    reach: Float[Array, " 3"]
-    spread: Float[Array, " 3"]
-    guide: Guide
-    cost: Float[Array, ""]
+    plans: Plans
+    cost: Float[Array, " p"]
     least_error: Float[Array, ""]
     least_penetration: Float[Array, ""]
     at_limit: Bool[Array, ""]
@@ -161,7 +162,7 @@ def plan_reach(
     around: Surroundings,
     q: Float[Array, " joints"],
     key: Array,
-) -> Plan:
+) -> Search:
     """Looks for a candidate and a posture to reach it, near the present configuration.
 
     Args:
@@ -201,9 +202,29 @@ def plan_reach(
         return solve_ik(body, config, plan.ik, goals, around, start, jnp.asarray(body.home))
 
     found: IkSolution = jax.vmap(attempt)(option, start)
-    k, best = _best(body, plan, options, option, found, q)
-    guide = _guide(body, config, plan, options, option[k], found.q[k], around, best.found)
-    return best._replace(guide=guide)
+    cost = _costs(body, plan, options.admissible[option], found, q)
+    kept = _different(body, plan, found.q, cost)
+
+    def planned(k):
+        known = cost[k] < _FAILED
+        return _guide(body, config, plan, options, option[k], found.q[k], around, known)
+
+    pick = option[kept]
+    plans = Plans(
+        index=jnp.asarray(options.index, jnp.int32)[pick],
+        reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
+        spread=options.spread[pick],
+        guide=jax.vmap(planned)(kept),
+    )
+    error, allowed = jnp.max(found.error, axis=1), options.admissible[option]
+    clear, close = allowed & (found.penetration <= 0), allowed & (error <= 0.02)
+    return Search(
+        plans=plans,
+        cost=cost[kept],
+        least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
+        least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
+        at_limit=found.at_limit[kept[0]],
+    )
 
 
 def _guide(body, config, plan, options, option, q, around, known) -> Guide:
@@ -230,27 +251,28 @@ def _guide(body, config, plan, options, option, q, around, known) -> Guide:
     )
 
 
-def _best(body, plan, options, option, found: IkSolution, q) -> tuple[Array, Plan]:
-    """Of the attempts that succeed the one nearest in time; else the one that came closest."""
-    error = jnp.max(found.error, axis=1)
-    admissible = options.admissible[option]
-    # 1 mm: the solver trades clearance for tip errors softly.
-    good = admissible & (error <= plan.tolerance) & (found.missing <= 1e-3)
+def _costs(body, plan, admissible, found: IkSolution, q) -> Float[Array, " n"]:
+    """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
     time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
-    lacking = 1e3 * jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
-    cost = jnp.where(admissible, time + lacking, jnp.inf)
-    k = jnp.argmin(cost)
-    clear = admissible & (found.penetration <= 0)
-    close = admissible & (error <= 0.02)
-    pick = option[k]
-    return k, Plan(
-        found=good[k],
-        index=jnp.asarray(options.index)[pick],
-        reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
-        spread=options.spread[pick],
-        guide=no_guide(len(body.lower)),
-        cost=cost[k],
-        least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
-        least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
-        at_limit=found.at_limit[k],
-    )
+    error = jnp.max(found.error, axis=1)
+    lacking = jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
+    return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
+
+
+def _different(body, plan, q, cost) -> Int[Array, " p"]:
+    """The cheapest attempts of which no two put the palm in the same place."""
+
+    def palm(q):
+        motion = body.kinematics.motion(q)
+        return motion.pos[PALM], motion.mat[PALM]
+
+    pos, mat = jax.vmap(palm)(q)
+    kept = []
+    for _ in range(plan.kept):
+        best = jnp.argmin(cost)
+        kept.append(best)
+        turn = norm(so3.log(jnp.einsum("nij,kj->nik", mat, mat[best])))
+        near = norm(pos - pos[best]) + plan.lever * turn < plan.differs
+        # Those in the same place come after all others.
+        cost = jnp.where(near, cost + _FAILED, cost)
+    return jnp.stack(kept)

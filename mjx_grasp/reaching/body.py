@@ -87,9 +87,7 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         raise InputError("robot", kinematics.joints, "the joints of the description alone")
     frame_of = {body: PALM + 1 + k for k, body in enumerate(bodies)}
 
-    capsules = [
-        (frame_of[b], *part) for b in finger_bodies for part in _capsules(model, b)
-    ]
+    capsules = [(frame_of[b], *part) for b in finger_bodies for part in _capsules(model, b)]
     capsule_body = [b for b in finger_bodies for _ in _capsules(model, b)]
     links = [[n for n, b in enumerate(capsule_body) if b in finger] for finger in fingers]
     groups, names = [], []
@@ -106,7 +104,9 @@ def reach_body(robot: RobotSpec) -> ReachBody:
     for i in range(len(fingers)):
         for j in range(i + 1, len(fingers)):
             pairs.append([(a, b) for a in distal[i] for b in distal[j]])
-            pair_names.append(f"{model.body(fingers[i][-1]).name}/{model.body(fingers[j][-1]).name}")
+            pair_names.append(
+                f"{model.body(fingers[i][-1]).name}/{model.body(fingers[j][-1]).name}"
+            )
 
     points = [(frame_of[palm], *part) for part in _cover(model, palm)]
     arm = [(frame_of[b], *part) for b in arm_bodies for part in _capsules(model, b)]
@@ -179,8 +179,6 @@ def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.nda
         along = half * _matrix(model.geom_quat[geom])[:, 2]
         found.append((model.geom_pos[geom] - along, model.geom_pos[geom] + along, float(radius)))
     return found
-
-
 
 
 def _cover(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:

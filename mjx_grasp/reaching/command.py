@@ -212,6 +212,7 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     heads_for = goals.tips + goals.guide.offset
     heading, length = fields.way_points(tips, heads_for, around, config.fields)
     v_tips = fields.tip_velocities(tips, heading, length, config.fields, config.controller.dt)
+    v_tips = v_tips + goals.guide.offset_rate
     if config.limits.follow_object:
         v_tips = v_tips + around.v_wo[:3] + jnp.cross(around.v_wo[3:], goals.tips - around.p_wo)
     turn, turn_weight = fields.pad_rotation(pads, goals.pads, middle, config.fields)

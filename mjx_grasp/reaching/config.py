@@ -47,6 +47,8 @@ class FieldConfig:
 class GuideConfig:
     """How a planned configuration guides the hand; not in the paper."""
 
+    enabled: bool = True
+    """whether plans guide the hand, or only choose the candidate"""
     length: float = 0.12
     """of the funnel: how far the hand retreats [m]"""
     aligned: float = 0.06
@@ -159,18 +161,3 @@ class ReachConfig:
     solver: SolverConfig = field(default_factory=SolverConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     targets: TargetConfig = field(default_factory=TargetConfig)
-
-
-def paper_config() -> ReachConfig:
-    """The published controller as written."""
-    return ReachConfig()
-
-
-def default_config() -> ReachConfig:
-    """With what goes beyond the paper."""
-    return ReachConfig(
-        fields=FieldConfig(via_points=0),
-        limits=LimitConfig(follow_object=True),
-        solver=SolverConfig(partial_escape=True),
-        controller=ControllerConfig(handoff_tips=0.008, reselections=6, stall_time=0.8),
-    )

@@ -198,11 +198,9 @@ class Reacher:
         )
         goals = self.standoffs(targets)
         guide = no_guide(len(q))
-        if plans is not None:
+        if plans is not None and self.config.guide.enabled:
             guide = jax.tree.map(lambda leaf: leaf[state.plan], plans.guide)
-        wanted, left = follow(
-            guide, state.left, motion, p_wo, R_wo, self.config.guide, config.dt
-        )
+        wanted, left = follow(guide, state.left, motion, p_wo, R_wo, self.config.guide, config.dt)
         velocity, memory, report = command(
             self.body,
             self.config,
@@ -223,7 +221,9 @@ class Reacher:
             infeasible=state.infeasible + (running & ~report.feasible),
         )
         error = jnp.where(targets.valid, jnp.max(report.error), jnp.inf)
+        # Without a guide what is to go is the way of the tips.
         to_go = jnp.max(jnp.abs(guide.q[0] - q) / self.body.velocity_limit)
+        to_go = jnp.where(guide.known, to_go, error / self.config.fields.speed)
         state = self._advance(state, targets, candidates, error, report.midpoint, to_go, plans)
         return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
 

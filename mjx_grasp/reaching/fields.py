@@ -127,7 +127,7 @@ def posture_velocity(
     v_open = field.posture_gain * (body.home - q)
     v_open = jnp.clip(v_open, -field.posture_speed, field.posture_speed)
     w_open = jnp.where(arm, 0.0, far * field.posture_weight)
-    v_guide = field.posture_gain * (guide.q - q)
+    v_guide = field.posture_gain * (guide.q - q) + guide.q_rate
     most = jnp.max(jnp.abs(v_guide) / body.velocity_limit)
     v_guide = v_guide / jnp.maximum(most, 1.0)
     w_guide = jnp.where(arm, config.guide.arm_weight, config.guide.hand_weight)
@@ -141,12 +141,11 @@ def palm_twist(
     way = guide.palm_pos - pos
     turn = so3.log(guide.palm_mat @ mat.T)
 
-    def limited(error, most):
-        v = config.palm_gain * error
+    def limited(v, most):
         return v / jnp.maximum(norm(v) / most, 1.0)
 
-    twist = jnp.concatenate(
-        [limited(way, config.palm_speed), limited(turn, config.palm_speed / config.lever)]
-    )
+    linear = limited(config.palm_gain * way + guide.palm_rate, config.palm_speed)
+    angular = limited(config.palm_gain * turn, config.palm_speed / config.lever)
+    twist = jnp.concatenate([linear, angular])
     weight = jnp.repeat(jnp.asarray([config.palm_weight, config.palm_turn_weight]), 3)
     return twist, jnp.where(guide.known, weight, 0.0)

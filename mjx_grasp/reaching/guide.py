@@ -47,6 +47,7 @@ class GuideGoal(NamedTuple):
         palm_mat: ``[3, 3]`` its rotation.
         offset: ``[3]`` the retreat that is left; standoff targets shift by it, [m].
         left: Share of the retreat that is left.
+        q_rate, palm_rate, offset_rate: How fast the above change as the hand comes in, per second.
     """
 
     known: Bool[Array, ""]
@@ -55,6 +56,9 @@ class GuideGoal(NamedTuple):
     palm_mat: Float[Array, "3 3"]
     offset: Float[Array, " 3"]
     left: Float[Array, ""]
+    q_rate: Float[Array, " joints"]
+    palm_rate: Float[Array, " 3"]
+    offset_rate: Float[Array, " 3"]
 
 
 def no_guide(joints: int) -> Guide:
@@ -85,24 +89,33 @@ def follow(
         dt: Control period, [s].
     """
 
-    def goal_at(share):
-        between = so3.log(guide.palm_mat[1] @ guide.palm_mat[0].T)
-        pos = guide.palm_pos[0] + share * (guide.palm_pos[1] - guide.palm_pos[0])
-        mat = so3.exp(share * between) @ guide.palm_mat[0]
-        return GuideGoal(
-            known=guide.known,
-            q=guide.q[0] + share * (guide.q[1] - guide.q[0]),
-            palm_pos=p_wo + R_wo @ pos,
-            palm_mat=R_wo @ mat,
-            offset=jnp.where(guide.known, share, 0.0) * (R_wo @ guide.tip_shift),
-            left=jnp.where(guide.known, share, 0.0),
-        )
+    way = guide.palm_pos[1] - guide.palm_pos[0]
+    between = so3.log(guide.palm_mat[1] @ guide.palm_mat[0].T)
+    q_way = guide.q[1] - guide.q[0]
+    shift = jnp.where(guide.known, R_wo @ guide.tip_shift, 0.0)
 
-    before = goal_at(left)
-    turn = norm(so3.log(before.palm_mat @ motion.mat[PALM].T))
-    misaligned = norm(before.palm_pos - motion.pos[PALM]) + config.lever * turn
+    def palm_at(share):
+        mat = so3.exp(share * between) @ guide.palm_mat[0]
+        return p_wo + R_wo @ (guide.palm_pos[0] + share * way), R_wo @ mat
+
+    pos, mat = palm_at(left)
+    turn = norm(so3.log(mat @ motion.mat[PALM].T))
+    misaligned = norm(pos - motion.pos[PALM]) + config.lever * turn
     # Aligned, the hand comes in; spoilt, it backs out.
     inwards = jnp.clip((config.aligned - misaligned) / config.aligned, -1.0, 1.0)
     step = config.speed * dt / config.length
-    left = jnp.clip(left - step * inwards, 0.0, 1.0)
-    return goal_at(left), left
+    new = jnp.clip(left - step * inwards, 0.0, 1.0)
+    rate = (new - left) / dt
+    pos, mat = palm_at(new)
+    goal = GuideGoal(
+        known=guide.known,
+        q=guide.q[0] + new * q_way,
+        palm_pos=pos,
+        palm_mat=mat,
+        offset=new * shift,
+        left=jnp.where(guide.known, new, 0.0),
+        q_rate=rate * q_way,
+        palm_rate=rate * (R_wo @ way),
+        offset_rate=rate * shift,
+    )
+    return goal, new

@@ -40,9 +40,9 @@ _LACKING, _FAILED = 1e3, 1e4
 class PlanConfig:
     """How hard a solution is looked for."""
 
-    library: int = 30_000
+    library: int = 60_000
     """configurations from which the starts are taken [-]"""
-    near: int = 512
+    near: int = 1024
     """of them, those around the object, compared with every candidate [-]"""
     starts: int = 32
     """of them, the most promising, that are solved [-]"""
@@ -52,6 +52,8 @@ class PlanConfig:
     """palm poses this far apart differ, a turn counting with the lever below [m]"""
     lever: float = 0.1
     """of the palm's turn against its displacement [m/rad]"""
+    time_scale: float = 0.05
+    """a start this much farther in time counts as much as tips this far off [m/s]"""
     tolerance: float = 0.005
     """largest tip error of a solution to be reached for [m]"""
     seed: int = 0
@@ -194,6 +196,8 @@ def plan_reach(
     gap = jnp.where(options.admissible, squares, jnp.inf) - 2.0 * have @ want.T
     option = jnp.argmin(gap, axis=1)
     gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
+    time = jnp.max(jnp.abs(library.q[near] - q) / body.velocity_limit, axis=1)
+    gap = gap + (plan.time_scale * time) ** 2
     _, best = jax.lax.top_k(-gap, plan.starts)
     option, start = option[best], library.q[near[best]]
 

@@ -24,8 +24,9 @@ BUDGETS = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0)
 """Of the fine-adjustment timer, [s]."""
 SLOW = 0.025
 """Speed below which a tip has arrived, [m/s]."""
-HANDOFF_MIDPOINT, HANDOFF_TIMEOUT = 0.010, 3.0
-"""Of the handoff that is recorded while the sweep goes on: midpoint error [m], timer [s]."""
+HANDOFF_MIDPOINT, HANDOFF_TIMEOUT, HANDOFF_LARGEST = 0.010, 3.0, 0.050
+"""Of the handoff that is recorded while the sweep goes on: midpoint error [m]; timer [s] after
+which a largest tip error [m] is enough."""
 _SEGMENT = 100
 
 
@@ -279,7 +280,7 @@ def recorded(
     converged = (error <= tolerance) & (jnp.max(report.speed) < SLOW)
     first = converged & ~jnp.isfinite(record.fine_time)
     ready = (report.midpoint < HANDOFF_MIDPOINT) & (error <= config.controller.handoff_tips)
-    late = (state.timer >= HANDOFF_TIMEOUT) & (error <= config.controller.handoff_largest)
+    late = (state.timer >= HANDOFF_TIMEOUT) & (error <= HANDOFF_LARGEST)
     hands_off = tick.targets.valid & (ready | late) & ~jnp.isfinite(record.handoff_time)
     contact = jnp.linalg.norm(tick.tips - tick.targets.position, axis=-1)
     clear = report.object_distance > 0

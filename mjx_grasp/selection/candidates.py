@@ -128,6 +128,4 @@ def cylinder_candidates(
         * anchor_score(jnp.zeros(3), thumb, -normal, config.com_sigma)
         * separation_score(wrap[:, 0], wrap[:, 1], config.full_separation)
     )
-    return Candidates(
-        thumb, normal, wrap, -normal, -normal, width, score, jnp.ones(len(z), bool)
-    )
+    return Candidates(thumb, normal, wrap, -normal, -normal, width, score, jnp.ones(len(z), bool))

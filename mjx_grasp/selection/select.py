@@ -148,9 +148,7 @@ def select(
         normal=_turned(R_wo, normal),
         cost=cost[index],
     )
-    new_state = state._replace(
-        index=targets.index, spread=jnp.where(valid, spread, state.spread)
-    )
+    new_state = state._replace(index=targets.index, spread=jnp.where(valid, spread, state.spread))
     return targets, new_state
 
 

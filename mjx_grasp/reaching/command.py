@@ -65,6 +65,7 @@ class Report(NamedTuple):
         obstacle_distance: To the obstacles, [m].
         table_margin: Least height above the table over what is asked for, [m].
         finger_distance: Least distance of two fingers, [m].
+        problem: The programme that was solved.
     """
 
     error: Float[Array, " 3"]
@@ -76,6 +77,7 @@ class Report(NamedTuple):
     obstacle_distance: Float[Array, ""]
     table_margin: Float[Array, ""]
     finger_distance: Float[Array, ""]
+    problem: QP
 
 
 def start_memory(body: ReachBody, obstacles: int) -> Memory:
@@ -202,6 +204,7 @@ def command(
         obstacle_distance=jnp.min(obstacle),
         table_margin=jnp.min(table),
         finger_distance=jnp.min(near["fingers"].distance),
+        problem=problem,
     )
     return x, Memory(x, solution.warm), report
 

@@ -82,6 +82,12 @@ def inverse_spd(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return half.T @ half
 
 
+def scales(problem: QP) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
+    """Factors of variables, x = scale · y, and of rows, which make P's diagonal and rows unit."""
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(problem.P))
+    return scale, 1.0 / jnp.sqrt(jnp.sum((problem.A * scale) ** 2, axis=1) + _TINY)
+
+
 def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     """Solves one problem; batched by ``vmap``.
 
@@ -91,8 +97,7 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
         config: Steps and iterations.
     """
     P, q, A, b, lower, upper = problem
-    scale = 1.0 / jnp.sqrt(jnp.diagonal(P))  # x = scale · y
-    row_scale = 1.0 / jnp.sqrt(jnp.sum((A * scale) ** 2, axis=1) + _TINY)
+    scale, row_scale = scales(problem)
     A_s = A * scale * row_scale[:, None]
     b_s = b * row_scale
     # A row without length binds nothing: its copy is free.

@@ -49,17 +49,17 @@ class GuideConfig:
 
     enabled: bool = True
     """whether plans guide the hand, or only choose the candidate"""
-    length: float = 0.12
+    length: float = 0.15
     """of the funnel: how far the hand retreats [m]"""
-    aligned: float = 0.06
+    aligned: float = 0.08
     """misalignment below which the hand comes in [m]"""
     lever: float = 0.1
     """of a rotation error against a position error [m/rad]"""
-    speed: float = 0.6
+    speed: float = 0.8
     """at which the hand comes in when aligned perfectly [m/s]"""
     palm_speed: float = 0.5
     """of the palm towards its goal, at most [m/s]"""
-    palm_gain: float = 5.0
+    palm_gain: float = 8.0
     """speed per error, of position and rotation [1/s]"""
     palm_weight: float = 0.1
     """of the palm's velocity against that of a tip [-]"""
@@ -69,6 +69,13 @@ class GuideConfig:
     """of an arm joint's way to the configuration [m²/rad²]"""
     hand_weight: float = 0.05
     """the same of a hand joint [m²/rad²]"""
+    settled_arm_weight: float = 0.05
+    """the same once nothing of the retreat is left [m²/rad²]"""
+    moved: tuple[float, float] = (0.03, 0.01)
+    """gate of the object's displacement since the plan, a turn counting with the lever, that takes
+    the arm's configuration back: from there on the palm's pose alone leads [m]"""
+    moved_palm: float = 10.0
+    """factor of the palm's weights then [-]"""
     tip_weight: float = 0.1
     """of the tips while the whole retreat is left; 1 when nothing is [-]"""
 

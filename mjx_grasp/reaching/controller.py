@@ -77,6 +77,7 @@ class ReachState(NamedTuple):
         best: Least time to go so far, of the present plan, [s].
         since: Time since it was improved, [s].
         p_wo, R_wo: Object pose at the last tick.
+        obstacles: ``[k, 4]`` at the last tick; NaN before the first.
         outcome: An :class:`Outcome`.
         infeasible: Ticks whose programme had no solution.
     """
@@ -92,6 +93,7 @@ class ReachState(NamedTuple):
     since: Float[Array, ""]
     p_wo: Float[Array, " 3"]
     R_wo: Float[Array, "3 3"]
+    obstacles: Float[Array, "k 4"]
     outcome: Int[Array, ""]
     infeasible: Int[Array, ""]
 
@@ -155,6 +157,7 @@ class Reacher:
             since=jnp.float32(0.0),
             p_wo=p_wo,
             R_wo=R_wo,
+            obstacles=jnp.full((obstacles, 4), jnp.nan),
             outcome=jnp.int32(Outcome.RUNNING),
             infeasible=jnp.int32(0),
         )
@@ -192,7 +195,8 @@ class Reacher:
         config, limits = self.config.controller, self.config.limits
         motion = self.body.kinematics.motion(q)
         twist = _twist(state, p_wo, R_wo, config.dt, limits.object_speed)
-        around = Surroundings(shape, p_wo, R_wo, twist, obstacles)
+        drift = _velocity(state.obstacles, obstacles, config.dt, limits.object_speed)
+        around = Surroundings(shape, p_wo, R_wo, twist, obstacles, drift)
         targets, selection = select(
             candidates, state.selection, self.hand(motion), p_wo, R_wo, self.selection
         )
@@ -218,12 +222,14 @@ class Reacher:
             left=left,
             p_wo=p_wo,
             R_wo=R_wo,
+            obstacles=obstacles,
             infeasible=state.infeasible + (running & ~report.feasible),
         )
         error = jnp.where(targets.valid, jnp.max(report.error), jnp.inf)
-        # Without a guide what is to go is the way of the tips.
+        # Without a guide, or one that the object has left, the way of the tips is to go.
         to_go = jnp.max(jnp.abs(guide.q[0] - q) / self.body.velocity_limit)
-        to_go = jnp.where(guide.known, to_go, error / self.config.fields.speed)
+        trusted = guide.known & (wanted.moved < 0.5)
+        to_go = jnp.where(trusted, to_go, error / self.config.fields.speed)
         state = self._advance(state, targets, candidates, error, report.midpoint, to_go, plans)
         return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
 
@@ -292,6 +298,13 @@ def _twist(state, p_wo, R_wo, dt, most):
     angular = so3.log(R_wo @ state.R_wo.T) / dt
     jumps = (norm(linear) > most) | (norm(angular) > 10.0 * most)
     return jnp.where(jumps, 0.0, jnp.concatenate([linear, angular]))
+
+
+def _velocity(before, now, dt, most):
+    """Velocities of the obstacles' centres, [m/s]; none at first, and none in a jump."""
+    velocity = (now[:, :3] - before[:, :3]) / dt
+    known = norm(velocity) <= most  # false for NaN
+    return jnp.where(known[:, None], velocity, 0.0)
 
 
 def _without(selection: SelectionState, candidates: Candidates) -> SelectionState:

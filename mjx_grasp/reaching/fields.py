@@ -130,7 +130,10 @@ def posture_velocity(
     v_guide = field.posture_gain * (guide.q - q) + guide.q_rate
     most = jnp.max(jnp.abs(v_guide) / body.velocity_limit)
     v_guide = v_guide / jnp.maximum(most, 1.0)
-    w_guide = jnp.where(arm, config.guide.arm_weight, config.guide.hand_weight)
+    settled = config.guide.settled_arm_weight
+    w_arm = settled + guide.left * (config.guide.arm_weight - settled)
+    w_arm = w_arm * (1.0 - guide.moved)
+    w_guide = jnp.where(arm, w_arm, config.guide.hand_weight)
     return jnp.where(guide.known, v_guide, v_open), jnp.where(guide.known, w_guide, w_open)
 
 
@@ -148,4 +151,5 @@ def palm_twist(
     angular = limited(config.palm_gain * turn, config.palm_speed / config.lever)
     twist = jnp.concatenate([linear, angular])
     weight = jnp.repeat(jnp.asarray([config.palm_weight, config.palm_turn_weight]), 3)
+    weight = weight * (1.0 + guide.moved * (config.moved_palm - 1.0))
     return twist, jnp.where(guide.known, weight, 0.0)

@@ -28,6 +28,7 @@ class Guide(NamedTuple):
         palm_pos: ``[2, 3]`` the palm frame at them, [m].
         palm_mat: ``[2, 3, 3]`` its rotation.
         tip_shift: ``[3]`` from the planned standoff targets to the retreated ones, [m].
+        p_wo, R_wo: Object pose for which it was planned; world frame.
     """
 
     known: Bool[Array, ""]
@@ -35,6 +36,8 @@ class Guide(NamedTuple):
     palm_pos: Float[Array, "2 3"]
     palm_mat: Float[Array, "2 3 3"]
     tip_shift: Float[Array, " 3"]
+    p_wo: Float[Array, " 3"]
+    R_wo: Float[Array, "3 3"]
 
 
 class GuideGoal(NamedTuple):
@@ -47,6 +50,7 @@ class GuideGoal(NamedTuple):
         palm_mat: ``[3, 3]`` its rotation.
         offset: ``[3]`` the retreat that is left; standoff targets shift by it, [m].
         left: Share of the retreat that is left.
+        moved: How far the object is from where it was planned for, 0 not at all, 1 too far.
         q_rate, palm_rate, offset_rate: How fast the above change as the hand comes in, per second.
     """
 
@@ -56,6 +60,7 @@ class GuideGoal(NamedTuple):
     palm_mat: Float[Array, "3 3"]
     offset: Float[Array, " 3"]
     left: Float[Array, ""]
+    moved: Float[Array, ""]
     q_rate: Float[Array, " joints"]
     palm_rate: Float[Array, " 3"]
     offset_rate: Float[Array, " 3"]
@@ -64,8 +69,8 @@ class GuideGoal(NamedTuple):
 def no_guide(joints: int) -> Guide:
     """The guide of a reach that has none."""
     eye = jnp.broadcast_to(jnp.eye(3), (2, 3, 3))
-    zeros = jnp.zeros((2, joints))
-    return Guide(jnp.asarray(False), zeros, jnp.zeros((2, 3)), eye, jnp.zeros(3))
+    zeros, none = jnp.zeros((2, joints)), jnp.zeros(3)
+    return Guide(jnp.asarray(False), zeros, jnp.zeros((2, 3)), eye, none, none, jnp.eye(3))
 
 
 def follow(
@@ -107,6 +112,8 @@ def follow(
     new = jnp.clip(left - step * inwards, 0.0, 1.0)
     rate = (new - left) / dt
     pos, mat = palm_at(new)
+    displaced = norm(p_wo - guide.p_wo) + config.lever * norm(so3.log(R_wo @ guide.R_wo.T))
+    threshold, width = config.moved
     goal = GuideGoal(
         known=guide.known,
         q=guide.q[0] + new * q_way,
@@ -114,6 +121,7 @@ def follow(
         palm_mat=mat,
         offset=new * shift,
         left=jnp.where(guide.known, new, 0.0),
+        moved=0.5 * (1.0 + jnp.tanh((displaced - threshold) / width)),
         q_rate=rate * q_way,
         palm_rate=rate * (R_wo @ way),
         offset_rate=rate * shift,

@@ -37,7 +37,13 @@ def _additions() -> dict[str, Preset]:
     add("standoffs", selection=replace(paper.selection, min_goal_height=0.012))
     add("escape", reach=reach(solver={"partial_escape": True}))
     add("reachability", plan=PlanConfig(), reach=reach(guide={"enabled": False}))
-    add("guide", reach=reach(guide={"enabled": True}, fields={"via_points": 0}))
+    add(
+        "guide",
+        reach=reach(
+            guide={"enabled": True},
+            fields={"via_points": 0, "slow_down": 0.06, "posture_gain": 8.0},
+        ),
+    )
     add(
         "default",
         reach=reach(
@@ -52,7 +58,7 @@ PRESETS = _additions()
 """By name: ``paper``; ``standoffs`` targets must be high enough; ``escape`` from penetration even
 where not all clearances can be restored at once; ``reachability``: the selection takes a candidate
 for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
-via-points; ``default``: another plan when progress stalls, handoff when every tip is near."""
+via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff when every tip is near."""
 
 
 def preset(name: str) -> Preset:

@@ -27,6 +27,7 @@ class Surroundings(NamedTuple):
         R_wo: ``[3, 3]`` object rotation.
         v_wo: ``[6]`` object twist: velocity of its origin [m/s], angular velocity [rad/s]; world.
         obstacles: ``[k, 4]`` spheres to avoid: centre in world and radius, [m]; none is ``k = 0``.
+        obstacle_velocity: ``[k, 3]`` of their centres, [m/s].
     """
 
     shape: Shape
@@ -34,6 +35,15 @@ class Surroundings(NamedTuple):
     R_wo: Float[Array, "3 3"]
     v_wo: Float[Array, " 6"]
     obstacles: Float[Array, "k 4"]
+    obstacle_velocity: Float[Array, "k 3"]
+
+    @classmethod
+    def still(
+        cls, shape: Shape, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"]
+    ) -> Surroundings:
+        """An object at rest and nothing else."""
+        none = jnp.zeros((0, 4)), jnp.zeros((0, 3))
+        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none)
 
 
 class Proximity(NamedTuple):
@@ -145,7 +155,7 @@ def obstacle_proximity(
     along = end - start
     squared = jnp.maximum(dot(along, along), 1e-12)
     best = jnp.full(len(solids.frame), jnp.inf, start.dtype)
-    at, normal = start, jnp.zeros_like(start)
+    at, normal, velocity = start, jnp.zeros_like(start), jnp.zeros_like(start)
     for k in range(around.obstacles.shape[0]):
         centre, size = around.obstacles[k, :3], around.obstacles[k, 3]
         t = jnp.clip(dot(centre - start, along) / squared, 0.0, 1.0)[:, None]
@@ -155,11 +165,12 @@ def obstacle_proximity(
         best = jnp.where(nearer, distance, best)
         at = jnp.where(nearer[:, None], point, at)
         normal = jnp.where(nearer[:, None], unit(point - centre), normal)
+        velocity = jnp.where(nearer[:, None], around.obstacle_velocity[k], velocity)
     distance = best - solids.radius
     pick = _picked(solids.groups, distance)
     moves = jnp.asarray(body.moves[solids.frame], at.dtype)[pick]
     slope = slopes(motion, moves, at[pick], normal[pick])
-    return Proximity(distance[pick], slope, jnp.zeros(len(pick), at.dtype))
+    return Proximity(distance[pick], slope, -dot(normal, velocity)[pick])
 
 
 def table_proximity(

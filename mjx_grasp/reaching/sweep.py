@@ -121,7 +121,7 @@ def plan_all(
     home = jnp.asarray(reacher.body.home)
 
     def one(shape, p_wo, R_wo, key):
-        around = Surroundings(shape, p_wo, R_wo, jnp.zeros(6), jnp.zeros((0, 4)))
+        around = Surroundings.still(shape, p_wo, R_wo)
         return plan_reach(
             reacher.body,
             reacher.config,

@@ -35,9 +35,7 @@ def exact_solutions(problems):
         n = len(problem.q)
         rows = problem.A * scale * row_scale[:, None]
         G = jnp.concatenate([-rows, jnp.eye(n), -jnp.eye(n)])
-        h = jnp.concatenate(
-            [-problem.b * row_scale, problem.upper / scale, -problem.lower / scale]
-        )
+        h = jnp.concatenate([-problem.b * row_scale, problem.upper / scale, -problem.lower / scale])
         P = problem.P * scale * scale[:, None]
         none = jnp.zeros((0, n)), jnp.zeros(0)
         x = qpax.solve_qp(P, problem.q * scale, *none, G, h, solver_tol=1e-8)[0]
@@ -57,9 +55,7 @@ def drawn(reacher):
 
 def test_unconstrained_minimum_is_exact():
     problem = _random_problem(0)
-    free = problem._replace(
-        b=jnp.full(4, -1e3), lower=jnp.full(6, -1e3), upper=jnp.full(6, 1e3)
-    )
+    free = problem._replace(b=jnp.full(4, -1e3), lower=jnp.full(6, -1e3), upper=jnp.full(6, 1e3))
     config = replace(SolverConfig(), iterations=2000)
     found = solve_qp(free, cold_start(6, 4), config)
     np.testing.assert_allclose(found.x, np.linalg.solve(free.P, -free.q), rtol=1e-3, atol=1e-4)

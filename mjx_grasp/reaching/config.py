@@ -71,10 +71,14 @@ class GuideConfig:
     """the same of a hand joint [m²/rad²]"""
     settled_arm_weight: float = 0.05
     """the same once nothing of the retreat is left [m²/rad²]"""
-    moved: tuple[float, float] = (0.03, 0.01)
-    """gate of the object's displacement since the plan, a turn counting with the lever, that takes
-    the arm's configuration back: from there on the palm's pose alone leads [m]"""
-    moved_palm: float = 10.0
+    damping: float = 0.05
+    """of the steps by which the configurations follow a moving object [m]"""
+    limit_margin: float = 0.05
+    """they keep from every joint limit [rad]"""
+    astray: tuple[float, float] = (0.03, 0.01)
+    """gate of their palm error that takes the arm's configuration back, where it cannot follow:
+    from there on the palm's pose alone leads [m]"""
+    astray_palm: float = 10.0
     """factor of the palm's weights then [-]"""
     tip_weight: float = 0.1
     """of the tips while the whole retreat is left; 1 when nothing is [-]"""
@@ -152,8 +156,8 @@ class ControllerConfig:
     """of the whole reach [s]"""
     stall_time: float = float("inf")
     """without progress after which another plan is taken; the paper waits for the time-out [s]"""
-    stall_progress: float = 0.05
-    """what counts as progress: time to the guide's configuration at full speed [s]"""
+    stall_progress: float = 0.02
+    """what counts as progress: less time to go, at full speed [s]"""
     stall_error: float = 0.010
     """a largest tip error below which nothing needs to progress any more [m]"""
 

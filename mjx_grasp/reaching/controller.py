@@ -22,7 +22,7 @@ from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.command import Goals, Memory, Report, command, start_memory
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.fields import pad_goals
-from mjx_grasp.reaching.guide import Guide, follow, no_guide
+from mjx_grasp.reaching.guide import Guide, follow, no_guide, track
 from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.robot.kinematics import Motion
 from mjx_grasp.selection.candidates import Candidates
@@ -33,6 +33,8 @@ from mjx_grasp.selection.select import Hand, SelectionState, Targets, select, st
 _CHOSEN = 10.0
 # After a re-selection thumb contacts this near to the abandoned one are ruled out, [m].
 _RULED_OUT = 0.02
+# An object that moves less in a tick, in [m] and [rad] together, is still.
+_STILL = 1e-4
 
 
 class Outcome(IntEnum):
@@ -70,11 +72,12 @@ class ReachState(NamedTuple):
         selection: Of the candidates.
         memory: Of the command.
         plan: Number of the plan that is followed; 0 also without plans.
+        guide_q: ``[2, joints]`` the plan's configurations as they follow the object, [rad].
         left: Share of the retreat that is left.
         timer: The fine-adjustment timer, [s].
         clock: Since the start, [s].
         tries: Re-selections made.
-        best: Least time to go so far, of the present plan, [s].
+        best: ``[2]`` least time to go so far, of joints to the guide and of tips to targets, [s].
         since: Time since it was improved, [s].
         p_wo, R_wo: Object pose at the last tick.
         obstacles: ``[k, 4]`` at the last tick; NaN before the first.
@@ -85,11 +88,12 @@ class ReachState(NamedTuple):
     selection: SelectionState
     memory: Memory
     plan: Int[Array, ""]
+    guide_q: Float[Array, "2 joints"]
     left: Float[Array, ""]
     timer: Float[Array, ""]
     clock: Float[Array, ""]
     tries: Int[Array, ""]
-    best: Float[Array, ""]
+    best: Float[Array, " 2"]
     since: Float[Array, ""]
     p_wo: Float[Array, " 3"]
     R_wo: Float[Array, "3 3"]
@@ -149,11 +153,12 @@ class Reacher:
             selection=start_selection(candidates, hand, R_wo),
             memory=start_memory(self.body, obstacles),
             plan=jnp.int32(0),
+            guide_q=jnp.zeros((2, len(q))),
             left=jnp.float32(1.0),
             timer=jnp.float32(0.0),
             clock=jnp.float32(0.0),
             tries=jnp.int32(0),
-            best=jnp.float32(jnp.inf),
+            best=jnp.full(2, jnp.inf),
             since=jnp.float32(0.0),
             p_wo=p_wo,
             R_wo=R_wo,
@@ -201,10 +206,13 @@ class Reacher:
             candidates, state.selection, self.hand(motion), p_wo, R_wo, self.selection
         )
         goals = self.standoffs(targets)
-        guide = no_guide(len(q))
+        guide, guide_q, astray = no_guide(len(q)), state.guide_q, jnp.float32(0.0)
         if plans is not None and self.config.guide.enabled:
             guide = jax.tree.map(lambda leaf: leaf[state.plan], plans.guide)
-        wanted, left = follow(guide, state.left, motion, p_wo, R_wo, self.config.guide, config.dt)
+            guide_q, astray = track(self.body, guide, guide_q, p_wo, R_wo, self.config.guide)
+        wanted, left = follow(
+            guide, guide_q, astray, state.left, motion, p_wo, R_wo, self.config.guide, config.dt
+        )
         velocity, memory, report = command(
             self.body,
             self.config,
@@ -216,9 +224,11 @@ class Reacher:
         running = state.outcome == Outcome.RUNNING
         velocity = jnp.where(running & targets.valid, velocity, 0.0)
         memory = memory._replace(command=velocity)
+        moves = norm(p_wo - state.p_wo) + norm(so3.log(R_wo @ state.R_wo.T)) > _STILL
         state = state._replace(
             selection=selection,
             memory=memory,
+            guide_q=guide_q,
             left=left,
             p_wo=p_wo,
             R_wo=R_wo,
@@ -226,11 +236,11 @@ class Reacher:
             infeasible=state.infeasible + (running & ~report.feasible),
         )
         error = jnp.where(targets.valid, jnp.max(report.error), jnp.inf)
-        # Without a guide, or one that the object has left, the way of the tips is to go.
-        to_go = jnp.max(jnp.abs(guide.q[0] - q) / self.body.velocity_limit)
-        trusted = guide.known & (wanted.moved < 0.5)
-        to_go = jnp.where(trusted, to_go, error / self.config.fields.speed)
-        state = self._advance(state, targets, candidates, error, report.midpoint, to_go, plans)
+        to_go = jnp.max(jnp.abs(guide_q[0] - q) / self.body.velocity_limit)
+        to_go = jnp.where(guide.known & (wanted.astray < 0.5), to_go, jnp.inf)
+        state = self._advance(
+            state, targets, candidates, error, report.midpoint, to_go, moves, plans
+        )
         return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
 
     def standoffs(self, targets: Targets) -> Float[Array, "3 3"]:
@@ -239,7 +249,7 @@ class Reacher:
         distance = np.array([t.thumb_standoff, *[t.wrap_standoff] * 2], np.float32)
         return targets.position + distance[:, None] * targets.normal
 
-    def _advance(self, state, targets, candidates, error, midpoint_error, to_go, plans):
+    def _advance(self, state, targets, candidates, error, midpoint_error, to_go, moves, plans):
         """Timer, handoff, re-selection, failure."""
         config = self.config.controller
         running = state.outcome == Outcome.RUNNING
@@ -251,9 +261,13 @@ class Reacher:
         near = error <= config.handoff_largest
         hands_off = arrived | (timed_out & near)
 
-        improves = to_go < state.best - config.stall_progress
-        best = jnp.where(improves, to_go, state.best)
-        since = jnp.where(improves | (error < config.stall_error), 0.0, state.since + config.dt)
+        # Ahead on the guide's way or nearer with the tips: either is progress.
+        now = jnp.stack([to_go, error / self.config.fields.speed])
+        improves = now < state.best - config.stall_progress
+        # Once arrived, or while the object moves, the way to go is counted afresh.
+        afresh = (error < config.stall_error) | moves
+        best = jnp.where(afresh, jnp.inf, jnp.where(improves, now, state.best))
+        since = jnp.where(jnp.any(improves) | afresh, 0.0, state.since + config.dt)
         stalls = since >= config.stall_time
         again = running & ~hands_off & (timed_out | stalls)
         again &= state.tries < config.reselections
@@ -282,6 +296,7 @@ class Reacher:
         chosen = jnp.arange(state.selection.bias.shape[0]) == plans.index[number]
         return state._replace(
             plan=number,
+            guide_q=plans.guide.q[number],
             left=jnp.float32(1.0),
             selection=SelectionState(
                 index=plans.index[number],

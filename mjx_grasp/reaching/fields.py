@@ -132,7 +132,7 @@ def posture_velocity(
     v_guide = v_guide / jnp.maximum(most, 1.0)
     settled = config.guide.settled_arm_weight
     w_arm = settled + guide.left * (config.guide.arm_weight - settled)
-    w_arm = w_arm * (1.0 - guide.moved)
+    w_arm = w_arm * (1.0 - guide.astray)
     w_guide = jnp.where(arm, w_arm, config.guide.hand_weight)
     return jnp.where(guide.known, v_guide, v_open), jnp.where(guide.known, w_guide, w_open)
 
@@ -151,5 +151,5 @@ def palm_twist(
     angular = limited(config.palm_gain * turn, config.palm_speed / config.lever)
     twist = jnp.concatenate([linear, angular])
     weight = jnp.repeat(jnp.asarray([config.palm_weight, config.palm_turn_weight]), 3)
-    weight = weight * (1.0 + guide.moved * (config.moved_palm - 1.0))
+    weight = weight * (1.0 + guide.astray * (config.astray_palm - 1.0))
     return twist, jnp.where(guide.known, weight, 0.0)

@@ -9,14 +9,20 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.linear import solve_spd
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.reaching.body import PALM
+from mjx_grasp.reaching.body import PALM, ReachBody
 from mjx_grasp.reaching.config import GuideConfig
 from mjx_grasp.robot.kinematics import Motion
+
+# A palm this near to where it should be needs no step, [m] and [rad] together.
+_SAME = 2e-5
 
 
 class Guide(NamedTuple):
@@ -28,7 +34,6 @@ class Guide(NamedTuple):
         palm_pos: ``[2, 3]`` the palm frame at them, [m].
         palm_mat: ``[2, 3, 3]`` its rotation.
         tip_shift: ``[3]`` from the planned standoff targets to the retreated ones, [m].
-        p_wo, R_wo: Object pose for which it was planned; world frame.
     """
 
     known: Bool[Array, ""]
@@ -36,8 +41,6 @@ class Guide(NamedTuple):
     palm_pos: Float[Array, "2 3"]
     palm_mat: Float[Array, "2 3 3"]
     tip_shift: Float[Array, " 3"]
-    p_wo: Float[Array, " 3"]
-    R_wo: Float[Array, "3 3"]
 
 
 class GuideGoal(NamedTuple):
@@ -50,7 +53,8 @@ class GuideGoal(NamedTuple):
         palm_mat: ``[3, 3]`` its rotation.
         offset: ``[3]`` the retreat that is left; standoff targets shift by it, [m].
         left: Share of the retreat that is left.
-        moved: How far the object is from where it was planned for, 0 not at all, 1 too far.
+        astray: Whether the configurations no longer fit the object's pose: 0 they do, 1 not at
+            all.
         q_rate, palm_rate, offset_rate: How fast the above change as the hand comes in, per second.
     """
 
@@ -60,7 +64,7 @@ class GuideGoal(NamedTuple):
     palm_mat: Float[Array, "3 3"]
     offset: Float[Array, " 3"]
     left: Float[Array, ""]
-    moved: Float[Array, ""]
+    astray: Float[Array, ""]
     q_rate: Float[Array, " joints"]
     palm_rate: Float[Array, " 3"]
     offset_rate: Float[Array, " 3"]
@@ -70,11 +74,57 @@ def no_guide(joints: int) -> Guide:
     """The guide of a reach that has none."""
     eye = jnp.broadcast_to(jnp.eye(3), (2, 3, 3))
     zeros, none = jnp.zeros((2, joints)), jnp.zeros(3)
-    return Guide(jnp.asarray(False), zeros, jnp.zeros((2, 3)), eye, none, none, jnp.eye(3))
+    return Guide(jnp.asarray(False), zeros, jnp.zeros((2, 3)), eye, none)
+
+
+def track(
+    body: ReachBody,
+    guide: Guide,
+    q: Float[Array, "2 joints"],
+    p_wo: Float[Array, " 3"],
+    R_wo: Float[Array, "3 3"],
+    config: GuideConfig,
+) -> tuple[Float[Array, "2 joints"], Float[Array, ""]]:
+    """One step of inverse kinematics that keeps the plan's configurations with a moving object.
+
+    A damped least-squares step of the arm; nothing changes while the object is where it was.
+
+    Args:
+        body: The robot.
+        guide: The plan.
+        q: Its configurations as they were tracked so far, [rad].
+        p_wo: Object origin in world, [m].
+        R_wo: Object rotation.
+        config: Damping, and what counts as astray.
+
+    Returns:
+        The configurations, and how far astray they are, 0 to 1.
+    """
+    margin = np.minimum(config.limit_margin, 0.25 * (body.upper - body.lower))
+    lower, upper = body.lower + margin, body.upper - margin
+
+    def one(q, pos, mat):
+        motion = body.kinematics.motion(q)
+        turn = so3.log(R_wo @ mat @ motion.mat[PALM].T)
+        way = p_wo + R_wo @ pos - motion.pos[PALM]
+        error = jnp.concatenate([way, config.lever * turn])
+        swept = jnp.cross(motion.screws[:, :3], motion.pos[PALM]) + motion.screws[:, 3:]
+        rows = jnp.concatenate([swept, config.lever * motion.screws[:, :3]], axis=1)
+        rows = jnp.where((body.arm & body.moves[PALM])[:, None], rows, 0.0)
+        normal = rows.T @ rows + config.damping**2 * jnp.eye(6)
+        step = rows @ solve_spd(normal, error)
+        moved = jnp.where(norm(way) + norm(turn) > _SAME, q + step, q)
+        return jnp.clip(moved, lower, upper), norm(way) + config.lever * norm(turn)
+
+    q, residual = jax.vmap(one)(q, guide.palm_pos, guide.palm_mat)
+    threshold, width = config.astray
+    return q, 0.5 * (1.0 + jnp.tanh((jnp.max(residual) - threshold) / width))
 
 
 def follow(
     guide: Guide,
+    q: Float[Array, "2 joints"],
+    astray: Float[Array, ""],
     left: Float[Array, ""],
     motion: Motion,
     p_wo: Float[Array, " 3"],
@@ -86,6 +136,8 @@ def follow(
 
     Args:
         guide: The plan.
+        q: Its configurations for the object's present pose, [rad].
+        astray: How far they are from it, 0 to 1.
         left: Share of the retreat that was left after the last tick, 1 at the start.
         motion: The robot.
         p_wo: Object origin in world, [m].
@@ -96,7 +148,7 @@ def follow(
 
     way = guide.palm_pos[1] - guide.palm_pos[0]
     between = so3.log(guide.palm_mat[1] @ guide.palm_mat[0].T)
-    q_way = guide.q[1] - guide.q[0]
+    q_way = q[1] - q[0]
     shift = jnp.where(guide.known, R_wo @ guide.tip_shift, 0.0)
 
     def palm_at(share):
@@ -112,16 +164,14 @@ def follow(
     new = jnp.clip(left - step * inwards, 0.0, 1.0)
     rate = (new - left) / dt
     pos, mat = palm_at(new)
-    displaced = norm(p_wo - guide.p_wo) + config.lever * norm(so3.log(R_wo @ guide.R_wo.T))
-    threshold, width = config.moved
     goal = GuideGoal(
         known=guide.known,
-        q=guide.q[0] + new * q_way,
+        q=q[0] + new * q_way,
         palm_pos=pos,
         palm_mat=mat,
         offset=new * shift,
         left=jnp.where(guide.known, new, 0.0),
-        moved=0.5 * (1.0 + jnp.tanh((displaced - threshold) / width)),
+        astray=astray,
         q_rate=rate * q_way,
         palm_rate=rate * (R_wo @ way),
         offset_rate=rate * shift,

@@ -252,8 +252,6 @@ def _guide(body, config, plan, options, option, q, around, known) -> Guide:
         palm_pos=(pos - around.p_wo) @ R,
         palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
         tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
-        p_wo=around.p_wo,
-        R_wo=R,
     )
 
 

@@ -58,7 +58,8 @@ PRESETS = _additions()
 """By name: ``paper``; ``standoffs`` targets must be high enough; ``escape`` from penetration even
 where not all clearances can be restored at once; ``reachability``: the selection takes a candidate
 for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
-via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff when every tip is near."""
+via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff
+when every tip is near."""
 
 
 def preset(name: str) -> Preset:

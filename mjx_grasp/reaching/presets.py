@@ -47,7 +47,7 @@ def _additions() -> dict[str, Preset]:
     add(
         "default",
         reach=reach(
-            controller={"reselections": 6, "stall_time": 0.8, "handoff_tips": 0.008},
+            controller={"reselections": 6, "stall_time": 0.5, "handoff_tips": 0.008},
             limits={"follow_object": True},
         ),
     )

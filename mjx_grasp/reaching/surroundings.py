@@ -105,17 +105,21 @@ def obstacle_distance(obstacles: Float[Array, "k 4"], points: Float[Array, "*n 3
 
 
 def _nearest_on_segments(shape: Shape, start, end):
-    """Parameters in [0, 1] of the points of segments nearest to a shape (object frame).
+    """Parameters in [0, 1] of the points of segments nearest to a shape, and their distances.
 
-    Exact up to the parabola through three samples, which is where distances are convex.
+    Of both ends, the middle and the lowest point of the parabola through them the nearest; exact
+    enough where distances are convex, and never wrong by more than the samples' gaps.
     """
-    low = signed_distance(shape, start)
-    high = signed_distance(shape, end)
-    middle = signed_distance(shape, 0.5 * (start + end))
-    bend = low - 2.0 * middle + high
+    middle = 0.5 * (start + end)
+    low, high, between = (signed_distance(shape, p) for p in (start, end, middle))
+    bend = low - 2.0 * between + high
     curved = bend > _FLAT
-    t = 0.5 + 0.25 * (low - high) / jnp.where(curved, bend, 1.0)
-    return jnp.where(curved, jnp.clip(t, 0.0, 1.0), jnp.where(low < high, 0.0, 1.0))
+    t = jnp.clip(0.5 + 0.25 * (low - high) / jnp.where(curved, bend, 1.0), 0.0, 1.0)
+    best = signed_distance(shape, start + t[:, None] * (end - start))
+    for share, distance in ((0.0, low), (1.0, high), (0.5, between)):
+        nearer = distance < best
+        t, best = jnp.where(nearer, share, t), jnp.where(nearer, distance, best)
+    return t, best
 
 
 def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int[Array, " g"]:
@@ -132,12 +136,13 @@ def object_proximity(
     local_start = to_object(around, start)
     if np.array_equal(solids.start, solids.end):
         local, at = local_start, start
+        distance = signed_distance(around.shape, local)
     else:
         local_end = to_object(around, end)
-        t = _nearest_on_segments(around.shape, local_start, local_end)[:, None]
+        t, distance = _nearest_on_segments(around.shape, local_start, local_end)
+        t = t[:, None]
         local, at = local_start + t * (local_end - local_start), start + t * (end - start)
-    distance = signed_distance(around.shape, local) - solids.radius
-    pick = _picked(solids.groups, distance)
+    pick = _picked(solids.groups, distance - solids.radius)
     centre = at[pick]
     exact, normal = distance_and_normal(around.shape, local[pick])
     normal = _turned(around.R_wo, normal)

@@ -57,8 +57,8 @@ def distance_field(
     distance = _unsigned(grid, triangles, _SAMPLE_STEP * spacing * 2)
     inside = _inside(grid, distance, triangles, tuple(counts), spacing)
     values = np.where(inside, -distance, distance).reshape(tuple(counts))
-    f32 = np.float32
-    return DistanceField(values.astype(f32), low.astype(f32), np.asarray(spacing, f32))
+    f32 = jnp.float32
+    return DistanceField(jnp.asarray(values, f32), jnp.asarray(low, f32), f32(spacing))
 
 
 def _samples(triangles: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +97,9 @@ def _unsigned(grid: np.ndarray, triangles: np.ndarray, step: float) -> np.ndarra
 
 
 def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    nearest, _ = closest_on_triangle(points.astype(np.float32), triangles.astype(np.float32))
+    nearest, _ = closest_on_triangle(
+        jnp.asarray(points, jnp.float32), jnp.asarray(triangles, jnp.float32)
+    )
     return np.linalg.norm(points - np.asarray(nearest, np.float64), axis=-1)
 
 

@@ -148,7 +148,8 @@ def _fingers(model: mujoco.MjModel, robot: RobotSpec, palm: int) -> list[list[in
 
 def _arm_bodies(model: mujoco.MjModel, palm: int) -> list[int]:
     """Bodies between base and palm that carry shapes and can move far."""
-    chain, body = [], int(model.body_parentid[palm])
+    chain: list[int] = []
+    body = int(model.body_parentid[palm])
     while body != 0:
         chain.insert(0, body)
         body = int(model.body_parentid[body])

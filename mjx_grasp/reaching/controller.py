@@ -53,13 +53,13 @@ class Plans(NamedTuple):
     """Ways to reach an object, the best first; ``[p, …]``.
 
     Attributes:
-        index: ``[p]`` the candidate of each.
+        candidate: ``[p]`` of each.
         reach: ``[p, 3]`` preference of the object axes as reach direction.
         spread: ``[p, 3]`` direction of the wraps, object frame.
         guide: Each a :class:`Guide`.
     """
 
-    index: Int[Array, " p"]
+    candidate: Int[Array, " p"]
     reach: Float[Array, "p 3"]
     spread: Float[Array, "p 3"]
     guide: Guide
@@ -284,7 +284,7 @@ class Reacher:
             outcome=jnp.where(running, outcome, state.outcome).astype(jnp.int32),
         )
         if plans is not None:
-            number = plans.index.shape[0]
+            number = plans.candidate.shape[0]
             plan = (state.plan + 1) % number
             other = self._take(state, plans, plan)
         else:
@@ -293,13 +293,13 @@ class Reacher:
 
     def _take(self, state: ReachState, plans: Plans, number: Int[Array, ""]) -> ReachState:
         """Follows a plan: its candidate, reach direction and order of the wraps."""
-        chosen = jnp.arange(state.selection.bias.shape[0]) == plans.index[number]
+        chosen = jnp.arange(state.selection.bias.shape[0]) == plans.candidate[number]
         return state._replace(
             plan=number,
             guide_q=plans.guide.q[number],
             left=jnp.float32(1.0),
             selection=SelectionState(
-                index=plans.index[number],
+                candidate=plans.candidate[number],
                 spread=plans.spread[number],
                 reach=plans.reach[number],
                 bias=jnp.where(chosen, -_CHOSEN, 0.0),
@@ -324,6 +324,6 @@ def _velocity(before, now, dt, most):
 
 def _without(selection: SelectionState, candidates: Candidates) -> SelectionState:
     """The running candidate and its neighbours are ruled out."""
-    thumb = candidates.thumb[jnp.maximum(selection.index, 0)]
+    thumb = candidates.thumb[jnp.maximum(selection.candidate, 0)]
     out = norm(candidates.thumb - thumb) < _RULED_OUT
     return selection._replace(bias=jnp.where(out, jnp.inf, selection.bias))

@@ -124,7 +124,7 @@ def posture_velocity(
     field = config.fields
     arm = jnp.asarray(body.arm)
     far = gate(midpoint_error, *field.far)
-    v_open = field.posture_gain * (body.home - q)
+    v_open = field.posture_gain * (jnp.asarray(body.home) - q)
     v_open = jnp.clip(v_open, -field.posture_speed, field.posture_speed)
     w_open = jnp.where(arm, 0.0, far * field.posture_weight)
     v_guide = field.posture_gain * (guide.q - q) + guide.q_rate

@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.command import (
-    Goals,
     angular_jacobians,
     half_spaces,
     point_jacobians,
@@ -66,7 +65,8 @@ def solve_ik(
     body: ReachBody,
     config: ReachConfig,
     ik: IkConfig,
-    goals: Goals,
+    goals: Float[Array, "3 3"],
+    pads: Float[Array, "3 3"],
     around: Surroundings,
     start: Float[Array, " joints"],
     reference: Float[Array, " joints"],
@@ -79,7 +79,8 @@ def solve_ik(
         body: The robot.
         config: Clearances and margins of the controller.
         ik: Weights and steps.
-        goals: Of tips and pads.
+        goals: Of the tip frames, world, [m].
+        pads: Unit directions for the pad normals.
         around: Object and obstacles.
         start: Where the search begins, [rad].
         reference: Posture to stay near, [rad].
@@ -92,10 +93,10 @@ def solve_ik(
         motion = body.kinematics.motion(q)
         slope, bound, near = half_spaces(body, motion, around, _unbounded(config))
         missing = jnp.maximum(bound * horizon, 0.0)
-        tips, pads = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+        tips, normals = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
         parts = (
-            (tips - goals.tips).reshape(-1),
-            ik.orientation_weight * (pads - goals.pads).reshape(-1),
+            (tips - goals).reshape(-1),
+            ik.orientation_weight * (normals - pads).reshape(-1),
             ik.clearance_weight * missing,
             ik.posture_weight * (q - reference),
         )
@@ -103,10 +104,10 @@ def solve_ik(
 
     def jacobian(found):
         motion, slope, missing, _ = found
-        tips, pads = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+        tips, normals = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
         linear = point_jacobians(body, motion, np.arange(FINGERS), tips)
         turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
-        swing = jnp.cross(turning, pads[:, :, None], axisa=1, axisb=1, axisc=1)
+        swing = jnp.cross(turning, normals[:, :, None], axisa=1, axisb=1, axisc=1)
         return jnp.concatenate(
             [
                 linear.reshape(3 * FINGERS, -1),
@@ -143,7 +144,7 @@ def solve_ik(
     distances = jnp.concatenate([part.distance for part in near.values()])
     return IkSolution(
         q=q,
-        error=norm(motion.pos[:FINGERS] - goals.tips),
+        error=norm(motion.pos[:FINGERS] - goals),
         missing=jnp.max(missing),
         penetration=jnp.maximum(-jnp.min(distances), 0.0),
         at_limit=jnp.any((q <= lower) | (q >= upper)),

@@ -105,15 +105,15 @@ def failure_gallery(
 
     from mjx_grasp.atomic import replacing
 
-    rows = [("converged", -1), *((name, k) for k, name in enumerate(FAILURES))]
-    rows = [(name, np.flatnonzero(classes == k)[:per_class]) for name, k in rows]
-    rows = [(name, picked) for name, picked in rows if len(picked)]
+    kinds = [("converged", -1), *((name, k) for k, name in enumerate(FAILURES))]
+    shown = [(name, np.flatnonzero(classes == k)[:per_class]) for name, k in kinds]
+    rows = [(name, picked) for name, picked in shown if len(picked)]
     caption = 18
     sheet = Image.new("RGB", (per_class * _SIZE, len(rows) * (_SIZE + caption)), "white")
     draw = ImageDraw.Draw(sheet)
     for i, (name, picked) in enumerate(rows):
         for j, index in enumerate(picked):
-            picture = render_reach(robot_spec, record.best_q[index], poses, int(index))
+            picture = render_reach(robot_spec, np.asarray(record.best_q[index]), poses, int(index))
             corner = (j * _SIZE, i * (_SIZE + caption))
             sheet.paste(Image.fromarray(picture), (corner[0], corner[1] + caption))
             error = 1e3 * float(record.best_error[index])

@@ -20,7 +20,6 @@ from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.ik import robot_arrays
 from mjx_grasp.handoff.starts import build_library
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
-from mjx_grasp.reaching.command import Goals
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans
 from mjx_grasp.reaching.fields import midpoint, pad_goals
@@ -116,7 +115,7 @@ def start_library(body: ReachBody, config: PlanConfig) -> Library:
 class _Options(NamedTuple):
     """All ways to assign the tips: candidates × reach axes × order of the wraps."""
 
-    index: Int[np.ndarray, " v"]
+    candidate: Int[np.ndarray, " v"]
     axis: Int[np.ndarray, " v"]
     spread: Float[Array, "v 3"]  # object frame
     goals: Float[Array, "v 3 3"]  # world
@@ -151,7 +150,7 @@ def _options(candidates, around, selection, config) -> _Options:
         & (jnp.min(dot(local, up), axis=1) + height >= selection.min_goal_height)
     )
     goals = around.p_wo + local @ around.R_wo.T
-    return _Options(index, axis, spread, goals, jax.vmap(pad_goals)(goals), admissible)
+    return _Options(index, axis, jnp.asarray(spread), goals, jax.vmap(pad_goals)(goals), admissible)
 
 
 def plan_reach(
@@ -202,8 +201,8 @@ def plan_reach(
     option, start = option[best], library.q[near[best]]
 
     def attempt(option, start):
-        goals = Goals(options.goals[option], options.pads[option], None)
-        return solve_ik(body, config, plan.ik, goals, around, start, jnp.asarray(body.home))
+        goals, pads, home = options.goals[option], options.pads[option], jnp.asarray(body.home)
+        return solve_ik(body, config, plan.ik, goals, pads, around, start, home)
 
     found: IkSolution = jax.vmap(attempt)(option, start)
     cost = _costs(body, plan, options.admissible[option], found, q)
@@ -215,7 +214,7 @@ def plan_reach(
 
     pick = option[kept]
     plans = Plans(
-        index=jnp.asarray(options.index, jnp.int32)[pick],
+        candidate=jnp.asarray(options.candidate, jnp.int32)[pick],
         reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
         spread=options.spread[pick],
         guide=jax.vmap(planned)(kept),
@@ -241,8 +240,8 @@ def _guide(body, config, plan, options, option, q, around, known) -> Guide:
     # The palm's frame is at its root; the hand's extent is between it and the tips.
     outwards = motion.pos[PALM] - middle
     retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
-    shifted = Goals(goals + config.guide.length * retreat, pads, None)
-    retreated = solve_ik(body, config, plan.ik, shifted, around, q, q)
+    shifted = goals + config.guide.length * retreat
+    retreated = solve_ik(body, config, plan.ik, shifted, pads, around, q, q)
     outside = body.kinematics.motion(retreated.q)
     R = around.R_wo
     pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])

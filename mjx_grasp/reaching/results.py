@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jax import Array
 
 from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.reaching.body import ReachBody
 from mjx_grasp.reaching.poses import CylinderPoses
 from mjx_grasp.reaching.sweep import BUDGETS, TOLERANCES, ReachRecord, share_converged
+
+Values = np.ndarray | Array
+"""Numbers of a sweep, one per pose."""
 
 PAPER_RATE = {
     "10": (0.0, 0.0, 32.6, 69.6, 77.7, 78.9),
@@ -38,7 +42,7 @@ def classify(
     body: ReachBody,
     limit_margin: float,
     record: ReachRecord,
-    least_error: np.ndarray | None,
+    least_error: Values | None,
 ) -> np.ndarray:
     """Of each pose the index into :data:`FAILURES`, −1 where it converged.
 
@@ -52,11 +56,11 @@ def classify(
         least_error: Largest tip error of the best collision-free posture, [m]; None if not known.
     """
     tolerance = TOLERANCES[_TOLERANCE]
-    time = record.fine_time[:, _TOLERANCE]
+    time = np.asarray(record.fine_time)[:, _TOLERANCE]
     failed = time > BUDGETS[_BUDGET] + _SLACK
     unreachable = np.zeros(len(failed), bool)
     if least_error is not None:
-        unreachable = failed & (least_error > tolerance)
+        unreachable = failed & (np.asarray(least_error) > tolerance)
     slow = np.isfinite(time)
     touches = np.minimum(np.minimum(record.last_object, record.last_table), record.last_finger)
     collision = touches < _TOUCHES
@@ -72,7 +76,7 @@ def summary(
     limit_margin: float,
     poses: CylinderPoses,
     record: ReachRecord,
-    least_error: np.ndarray | None,
+    least_error: Values | None,
 ) -> dict[str, Any]:
     """All numbers of a sweep, for a results file.
 
@@ -85,7 +89,7 @@ def summary(
     """
     classes = classify(body, limit_margin, record, least_error)
     converged = classes < 0
-    clear = record.started_clear
+    clear = np.asarray(record.started_clear)
     result: dict[str, Any] = {
         "poses": len(converged),
         "rate_percent": share_converged(record.fine_time),
@@ -107,19 +111,22 @@ def summary(
         "limits": _limits(record),
     }
     if least_error is not None:
-        solvable = {f"{1e3 * t:g}": least_error <= t for t in TOLERANCES}
+        least = np.asarray(least_error)
+        solvable = {f"{1e3 * t:g}": least <= t for t in TOLERANCES}
         result["solvable_percent"] = {k: _percent(v) for k, v in solvable.items()}
         result["rate_percent_of_solvable"] = {
-            k: share_converged(record.fine_time[ok])[k] for k, ok in solvable.items() if ok.any()
+            k: share_converged(np.asarray(record.fine_time)[ok])[k]
+            for k, ok in solvable.items()
+            if ok.any()
         }
     return result
 
 
-def _percent(mask: np.ndarray) -> float | None:
+def _percent(mask: Values) -> float | None:
     return round(100.0 * float(np.mean(mask)), 3) if len(mask) else None
 
 
-def _percentiles(values: np.ndarray) -> dict[str, float | None]:
+def _percentiles(values: Values) -> dict[str, float | None]:
     """Some percentiles; None where the reach never came that far."""
     found = {}
     for p in (50, 90, 95, 99):
@@ -155,7 +162,7 @@ def _limits(record: ReachRecord) -> dict[str, float | int | None]:
     """The worst of every tick of every reach."""
     clear = record.started_clear
 
-    def least(values: np.ndarray) -> float | None:
+    def least(values: Values) -> float | None:
         return round(1e3 * float(values.min()), 3) if len(values) else None
 
     return {

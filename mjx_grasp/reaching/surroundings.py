@@ -196,12 +196,13 @@ def finger_proximity(body: ReachBody, motion: Motion) -> Proximity:
     """Distances of every two fingers."""
     solids = body.hand_capsules
     start, end = placed(solids, motion)
-    a, b = body.pairs[..., 0], body.pairs[..., 1]
+    a, b = jnp.asarray(body.pairs[..., 0]), jnp.asarray(body.pairs[..., 1])
+    radius = jnp.asarray(solids.radius)
     on_a, on_b = closest_between_segments(start[a], end[a], start[b], end[b])
-    gap = norm(on_a - on_b) - solids.radius[a] - solids.radius[b]
+    gap = norm(on_a - on_b) - radius[a] - radius[b]
     best = jnp.argmin(gap, axis=-1)
     rows = jnp.arange(len(a))
-    a, b = jnp.asarray(a)[rows, best], jnp.asarray(b)[rows, best]
+    a, b = a[rows, best], b[rows, best]
     on_a, on_b = on_a[rows, best], on_b[rows, best]
     normal = unit(on_a - on_b)
     moves = jnp.asarray(body.moves[solids.frame], start.dtype)

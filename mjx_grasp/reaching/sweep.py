@@ -322,7 +322,7 @@ def recorded(
 
 
 def share_converged(
-    time: Float[np.ndarray, "n tolerances"],
+    time: Float[np.ndarray | Array, "n tolerances"],
 ) -> dict[str, dict[str, float]]:
     """``rate_percent[tolerance in mm][budget in s]`` of times of first convergence."""
     slack = 1e-4  # the timer is a sum of float32

@@ -60,11 +60,11 @@ def from_heatmap(
     Raises:
         InputError: A count below one.
     """
-    score = heatmap.score if score is None else score
-    score = np.where(np.asarray(heatmap.valid), np.asarray(score), 0.0)
+    scores = np.asarray(heatmap.score if score is None else score)
+    scores = np.where(np.asarray(heatmap.valid), scores, 0.0)
     if count is not None and count < 1:
         raise InputError("count", count, "a whole number from 1")
-    order = np.argsort(-score, kind="stable")[:count]
+    order = np.argsort(-scores, kind="stable")[:count]
     missing = 0 if count is None else count - len(order)
 
     def taken(leaf, fill=0):
@@ -80,7 +80,7 @@ def from_heatmap(
         wrap_normal=taken(unit(jnp.asarray(normals[:, 0] + normals[:, 1]))),
         axis=taken(heatmap.axis),
         width=taken(heatmap.width),
-        score=taken(score.astype(np.float32)),
+        score=taken(scores.astype(np.float32)),
         valid=taken(heatmap.valid, False),
     )
 

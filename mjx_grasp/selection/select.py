@@ -37,14 +37,14 @@ class SelectionState(NamedTuple):
     """What the selection remembers between ticks; object frame.
 
     Attributes:
-        index: The running candidate, :data:`NONE` before the first.
+        candidate: The running one, :data:`NONE` before the first.
         spread: ``[3]`` unit direction from the second wrap's target to the first's; zero before
             the first choice.
         reach: ``[3]`` preference of the object axes x, y, z as the reach direction u; latched.
         bias: ``[c]`` added to every candidate's cost, [m]; +inf rules one out.
     """
 
-    index: Int[Array, ""]
+    candidate: Int[Array, ""]
     spread: Float[Array, " 3"]
     reach: Float[Array, " 3"]
     bias: Float[Array, " c"]
@@ -55,14 +55,14 @@ class Targets(NamedTuple):
 
     Attributes:
         valid: Whether there is an admissible candidate; where not, the rest is void but finite.
-        index: The candidate, :data:`NONE` if there is none.
+        candidate: Which, :data:`NONE` if there is none.
         position: ``[3, 3]`` contacts of thumb, first and second wrap, [m].
         normal: ``[3, 3]`` outward unit normals there.
         cost: Of the choice, [m]; +inf if there is none.
     """
 
     valid: Bool[Array, ""]
-    index: Int[Array, ""]
+    candidate: Int[Array, ""]
     position: Float[Array, "3 3"]
     normal: Float[Array, "3 3"]
     cost: Float[Array, ""]
@@ -77,7 +77,7 @@ def start_selection(
     opposite spread the wraps along the same line, so three preferences say it all.
     """
     return SelectionState(
-        index=jnp.int32(NONE),
+        candidate=jnp.int32(NONE),
         spread=jnp.zeros(3),
         reach=jnp.abs(_turned_back(R_wo, hand.approach)),
         bias=jnp.zeros(candidates.score.shape[0]),
@@ -124,8 +124,8 @@ def select(
     cost = jnp.where(admissible, cost, jnp.inf)
 
     best = jnp.argmin(cost).astype(jnp.int32)
-    running = jnp.maximum(state.index, 0)
-    keeps = (state.index != NONE) & (cost[running] - cost[best] <= config.hysteresis)
+    running = jnp.maximum(state.candidate, 0)
+    keeps = (state.candidate != NONE) & (cost[running] - cost[best] <= config.hysteresis)
     keeps &= jnp.isfinite(cost[running])
     index = jnp.where(keeps, running, best)
     valid = jnp.isfinite(cost[index])
@@ -143,12 +143,14 @@ def select(
     normal = jnp.stack([candidates.normal[index], wrap_normal, wrap_normal])
     targets = Targets(
         valid=valid,
-        index=jnp.where(valid, index, NONE),
+        candidate=jnp.where(valid, index, NONE),
         position=p_wo + _turned(R_wo, local),
         normal=_turned(R_wo, normal),
         cost=cost[index],
     )
-    new_state = state._replace(index=targets.index, spread=jnp.where(valid, spread, state.spread))
+    new_state = state._replace(
+        candidate=targets.candidate, spread=jnp.where(valid, spread, state.spread)
+    )
     return targets, new_state
 
 

@@ -40,7 +40,7 @@ def _reach(reacher, centre, ticks, shape=SHAPE, candidates=None):
         state, done = reacher.tick(state, q, shape, candidates, centre, UPRIGHT, NONE)
         q = q + reacher.config.controller.dt * done.velocity
         report = done.report
-        kept = state.outcome, state.timer, state.tries, done.velocity, done.targets.index
+        kept = state.outcome, state.timer, state.tries, done.velocity, done.targets.candidate
         return (state, q), (*kept, report.error, report.midpoint, report.object_distance)
 
     run = jax.jit(lambda c: jax.lax.scan(tick, c, length=ticks)[1])

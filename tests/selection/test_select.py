@@ -71,7 +71,7 @@ def test_minimum_of_the_written_objective(cylinder, seed):
     admissible = np.asarray(cylinder.score) >= CONFIG.min_score
     best = np.where(admissible, costs, np.inf)
     assert bool(targets.valid)
-    assert best[int(targets.index)] <= best.min() + 1e-5
+    assert best[int(targets.candidate)] <= best.min() + 1e-5
     np.testing.assert_allclose(float(targets.cost), best.min(), atol=1e-5)
 
 
@@ -80,7 +80,7 @@ def test_targets_are_contacts_spread_across_the_reach_direction(cylinder):
     hand, (p, R) = _hand(rng), _pose(rng)
     state = start_selection(cylinder, hand, R)
     targets, state = select(cylinder, state, hand, p, R, CONFIG)
-    k = int(targets.index)
+    k = int(targets.candidate)
     local = (np.asarray(targets.position) - np.asarray(p)) @ np.asarray(R)
     np.testing.assert_allclose(local[0], cylinder.thumb[k], atol=1e-6)
     np.testing.assert_allclose(local[1:].mean(axis=0), cylinder.centre[k], atol=1e-6)
@@ -105,7 +105,7 @@ def test_moving_the_world_moves_the_targets(cylinder):
     first, _ = select(cylinder, start_selection(cylinder, hand, R), hand, p, R, CONFIG)
     p2, R2 = turn @ p + shift, turn @ R
     second, _ = select(cylinder, start_selection(cylinder, moved, R2), moved, p2, R2, CONFIG)
-    assert int(first.index) == int(second.index)
+    assert int(first.candidate) == int(second.candidate)
     np.testing.assert_allclose(second.position, first.position @ turn.T + shift, atol=1e-5)
     np.testing.assert_allclose(second.normal, first.normal @ turn.T, atol=1e-5)
 
@@ -115,7 +115,7 @@ def test_low_contacts_are_rejected(cylinder):
     hand = _hand(rng)
     p, R = jnp.asarray([0.5, 0.0, 0.06]), jnp.eye(3)  # upright on the table
     targets, _ = select(cylinder, start_selection(cylinder, hand, R), hand, p, R, CONFIG)
-    k = int(targets.index)
+    k = int(targets.candidate)
     heights = np.concatenate([cylinder.thumb[k][None], cylinder.wrap[k], targets.position - p])
     assert np.all(heights[:, 2] + 0.06 >= CONFIG.min_height - 1e-6)
 
@@ -126,7 +126,7 @@ def test_no_admissible_candidate_is_a_result_of_its_own(cylinder):
     p, R = jnp.asarray([0.5, 0.0, -1.0]), jnp.eye(3)  # under the table
     targets, state = select(cylinder, start_selection(cylinder, hand, R), hand, p, R, CONFIG)
     assert not bool(targets.valid)
-    assert int(targets.index) == NONE == int(state.index)
+    assert int(targets.candidate) == NONE == int(state.candidate)
     assert np.isinf(float(targets.cost)) and np.isfinite(targets.position).all()
     # It recovers when the object comes back.
     back, _ = select(cylinder, state, hand, jnp.asarray([0.5, 0.0, 0.2]), R, CONFIG)
@@ -137,12 +137,12 @@ def test_low_scores_and_invalid_candidates_are_rejected(cylinder):
     rng = np.random.default_rng(5)
     hand, (p, R) = _hand(rng), _pose(rng, 1.0)
     state = start_selection(cylinder, hand, R)
-    k = int(select(cylinder, state, hand, p, R, CONFIG)[0].index)
+    k = int(select(cylinder, state, hand, p, R, CONFIG)[0].candidate)
     for other in (
         cylinder._replace(score=cylinder.score.at[k].set(0.01)),
         cylinder._replace(valid=cylinder.valid.at[k].set(False)),
     ):
-        assert int(select(other, state, hand, p, R, CONFIG)[0].index) != k
+        assert int(select(other, state, hand, p, R, CONFIG)[0].candidate) != k
 
 
 def test_hysteresis_keeps_and_leaves(cylinder):
@@ -155,8 +155,10 @@ def test_hysteresis_keeps_and_leaves(cylinder):
     near = int(np.argmin(np.abs(costs - best - 0.5 * CONFIG.hysteresis)))
     far = int(np.argmin(np.abs(costs - best - 2.0 * CONFIG.hysteresis)))
     for running, kept in ((near, True), (far, False)):
-        again, _ = select(cylinder, state._replace(index=jnp.int32(running)), hand, p, R, CONFIG)
-        assert (int(again.index) == running) == kept
+        again, _ = select(
+            cylinder, state._replace(candidate=jnp.int32(running)), hand, p, R, CONFIG
+        )
+        assert (int(again.candidate) == running) == kept
 
 
 def test_wraps_swap_only_for_a_clear_improvement(cylinder):
@@ -173,7 +175,7 @@ def test_wraps_swap_only_for_a_clear_improvement(cylinder):
         tips = np.stack([hand.tips[0], middle + 0.02 * direction, middle - 0.02 * direction])
         turned = hand._replace(tips=jnp.asarray(tips, jnp.float32))
         now, _ = select(cylinder, state, turned, p, R, CONFIG)
-        assert int(now.index) == int(targets.index)
+        assert int(now.candidate) == int(targets.candidate)
         same = np.asarray(now.position[1] - now.position[2]) @ along > 0
         assert same != swapped
 
@@ -189,7 +191,7 @@ def test_batched_is_looped_and_jit_is_eager(cylinder):
     together = jax.jit(jax.vmap(one))(*stacked)
     for k, world in enumerate(worlds):
         alone = one(*world)
-        assert int(alone.index) == int(together.index[k])
+        assert int(alone.candidate) == int(together.candidate[k])
         np.testing.assert_allclose(alone.position, together.position[k], atol=1e-6)
 
 

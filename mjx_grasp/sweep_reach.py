@@ -127,10 +127,10 @@ def run_sweep(
         start = time.perf_counter()
         record = sweep(reacher, poses, plans, chunk, lambda ticks: progress.advance(task, ticks))
         seconds["reaching"] = time.perf_counter() - start
-    margin = settings.reach.limits.limit_margin
-    result = summary(body, margin, poses, record, least_error)
+    limits = settings.reach.limits
+    result = summary(body, limits, poses, record, least_error)
     result["seconds"] = {name: round(value, 2) for name, value in seconds.items()}
-    classes = classify(body, margin, record, least_error)
+    classes = classify(body, limits, record, least_error)
     return SweepRun(result, poses, record, classes)
 
 

@@ -24,8 +24,6 @@ PALM = 2 * FINGERS
 _BOX_SPHERE_RADIUS = 0.008
 # An arm link with fewer joints than this above it cannot come near table or object.
 _FEWEST_ARM_JOINTS = 4
-# Of a finger the links nearest to the tip take part in finger–finger distances.
-_DISTAL_LINKS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +56,7 @@ class ReachBody:
     arm: Bool[np.ndarray, " joints"]
     approach_axis: Float[np.ndarray, " 3"]  # palm frame
     opposing_axis: Float[np.ndarray, " 3"]
+    grasping: Bool[np.ndarray, " joints"]  # of the three fingers
     hand_capsules: Solids
     palm_points: Solids
     arm_capsules: Solids
@@ -98,12 +97,10 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         parts = [inner, *([n for n in members if capsule_body[n] == b] for b in outer)]
         groups += [part for part in parts if part]
         names += [model.body(finger[-1]).name] * sum(bool(part) for part in parts)
-    distal = [[n for n in m if capsule_body[n] in f[-_DISTAL_LINKS:]] for f, m in zip(
-        fingers, links, strict=True)]  # fmt: skip
     pairs, pair_names = [], []
     for i in range(len(fingers)):
         for j in range(i + 1, len(fingers)):
-            pairs.append([(a, b) for a in distal[i] for b in distal[j]])
+            pairs.append([(a, b) for a in links[i] for b in links[j]])
             pair_names.append(
                 f"{model.body(fingers[i][-1]).name}/{model.body(fingers[j][-1]).name}"
             )
@@ -123,6 +120,7 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         arm=np.array([name in robot.arm.joints for name in robot.joints]),
         approach_axis=np.array(robot.hand.approach_axis, np.float32),
         opposing_axis=np.array(robot.hand.opposing_axis, np.float32),
+        grasping=np.array([any(n in f.joints for f in robot.hand.fingers) for n in robot.joints]),
         hand_capsules=_solids(capsules, groups, tuple(names)),
         palm_points=_solids(points, _quadrants(points), ("palm",) * 4),
         arm_capsules=_solids(arm, arm_groups, tuple(model.body(b).name for b in arm_bodies)),

@@ -38,7 +38,9 @@ class IkConfig:
     orientation_weight: float = 0.012
     """pad normals against tips [m/rad]"""
     posture_weight: float = 0.001
-    """pull towards the reference posture [m/rad]"""
+    """pull of arm and grasping fingers towards the reference posture [m/rad]"""
+    idle_weight: float = 0.01
+    """the same of the other fingers [m/rad]"""
     clearance_weight: float = 2.0
     """missing clearance against tip errors [m/m]"""
 
@@ -71,7 +73,7 @@ def solve_ik(
     start: Float[Array, " joints"],
     reference: Float[Array, " joints"],
 ) -> IkSolution:
-    """Minimises ``Σ|x_tip − goal|² + (w_o|n_pad − n*|)² + (w_c·missing)² + (w_p|q − q_ref|)²``.
+    """Minimises ``Σ|x_tip − goal|² + (w_o|n_pad − n*|)² + (w_c·missing)² + Σ(w_p(q − q_ref))²``.
 
     Joints pushed against a limit leave the step, so that the others make up for them.
 
@@ -88,6 +90,8 @@ def solve_ik(
     margin = np.minimum(config.limits.limit_margin, 0.25 * (body.upper - body.lower))
     lower, upper = jnp.asarray(body.lower + margin), jnp.asarray(body.upper - margin)
     horizon = config.limits.horizon
+    busy = body.arm | body.grasping
+    w_posture = jnp.where(jnp.asarray(busy), ik.posture_weight, ik.idle_weight)
 
     def errors(q):
         motion = body.kinematics.motion(q)
@@ -98,7 +102,7 @@ def solve_ik(
             (tips - goals).reshape(-1),
             ik.orientation_weight * (normals - pads).reshape(-1),
             ik.clearance_weight * missing,
-            ik.posture_weight * (q - reference),
+            w_posture * (q - reference),
         )
         return jnp.concatenate(parts), (motion, slope, missing, near)
 
@@ -121,11 +125,11 @@ def solve_ik(
         residual, found = errors(q)
         rows = jacobian(found)
         top = len(rows)
-        gradient = rows.T @ residual[:top] + ik.posture_weight * residual[top:]
+        gradient = rows.T @ residual[:top] + w_posture * residual[top:]
         stuck = ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
         free = jnp.where(stuck, 0.0, 1.0)
         rows = rows * free
-        hessian = rows.T @ rows + ik.posture_weight**2 * jnp.eye(len(q))
+        hessian = rows.T @ rows + jnp.diag(w_posture**2)
         hessian = hessian + damping * jnp.diag(jnp.diag(hessian) + _DAMPING_FLOOR)
         trial = jnp.clip(q - cho_solve(cho_factor(hessian), gradient * free), lower, upper)
         trial_cost = jnp.sum(errors(trial)[0] ** 2)

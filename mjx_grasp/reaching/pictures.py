@@ -82,7 +82,7 @@ def render_reach(
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
-    camera.distance, camera.elevation, camera.azimuth = 0.75, -22.0, 130.0
+    camera.distance, camera.elevation, camera.azimuth = 0.75, -25.0, 205.0
     camera.lookat[:] = poses.p_wo[index]
     with mujoco.Renderer(model, _SIZE, _SIZE) as renderer:
         renderer.update_scene(data, camera)

@@ -9,6 +9,7 @@ from jax import Array
 
 from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.reaching.body import ReachBody
+from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.poses import CylinderPoses
 from mjx_grasp.reaching.sweep import BUDGETS, TOLERANCES, ReachRecord, share_converged
 
@@ -40,7 +41,7 @@ _SLACK = 1e-4
 
 def classify(
     body: ReachBody,
-    limit_margin: float,
+    limits: LimitConfig,
     record: ReachRecord,
     least_error: Values | None,
 ) -> np.ndarray:
@@ -51,7 +52,7 @@ def classify(
 
     Args:
         body: The robot.
-        limit_margin: Kept from every joint limit, [rad].
+        limits: That the controller kept.
         record: Of the sweep.
         least_error: Largest tip error of the best collision-free posture, [m]; None if not known.
     """
@@ -64,7 +65,7 @@ def classify(
     slow = np.isfinite(time)
     touches = np.minimum(np.minimum(record.last_object, record.last_table), record.last_finger)
     collision = touches < _TOUCHES
-    margin = np.minimum(limit_margin, 0.25 * (body.upper - body.lower)) + _AT_LIMIT
+    margin = np.minimum(limits.limit_margin, 0.25 * (body.upper - body.lower)) + _AT_LIMIT
     room = np.minimum(record.q - body.lower, body.upper - record.q) - margin
     limit = np.any(room < 0, axis=1)
     classes = np.select([unreachable, slow, collision, limit], [0, 1, 3, 2], 4)
@@ -73,7 +74,7 @@ def classify(
 
 def summary(
     body: ReachBody,
-    limit_margin: float,
+    limits: LimitConfig,
     poses: CylinderPoses,
     record: ReachRecord,
     least_error: Values | None,
@@ -82,14 +83,14 @@ def summary(
 
     Args:
         body: The robot.
-        limit_margin: Kept from every joint limit, [rad].
+        limits: That the controller kept.
         poses: The cylinders.
         record: Of the sweep.
         least_error: Of the best collision-free posture of each pose, [m]; None if not known.
     """
-    classes = classify(body, limit_margin, record, least_error)
+    classes = classify(body, limits, record, least_error)
     converged = classes < 0
-    clear = np.asarray(record.started_clear)
+    clear = np.asarray(record.start_distance) > 0
     result: dict[str, Any] = {
         "poses": len(converged),
         "rate_percent": share_converged(record.fine_time),
@@ -108,7 +109,7 @@ def summary(
         "seconds_to_20mm": _percentiles(record.clock[:, _TOLERANCE]),
         "fine_seconds_to_10mm": _percentiles(record.fine_time[:, 0]),
         "handoff_mm": _handoff(record),
-        "limits": _limits(record),
+        "limits": _limits(record, limits),
     }
     if least_error is not None:
         least = np.asarray(least_error)
@@ -158,9 +159,10 @@ def _handoff(record: ReachRecord) -> dict[str, Any]:
     return result
 
 
-def _limits(record: ReachRecord) -> dict[str, float | int | None]:
+def _limits(record: ReachRecord, limits: LimitConfig) -> dict[str, float | int | None]:
     """The worst of every tick of every reach."""
-    clear = record.started_clear
+    start = np.asarray(record.start_distance)
+    clear, safe = start > 0, start >= limits.object_clearance
 
     def least(values: Values) -> float | None:
         return round(1e3 * float(values.min()), 3) if len(values) else None
@@ -169,6 +171,7 @@ def _limits(record: ReachRecord) -> dict[str, float | int | None]:
         "largest_speed_over_limit": round(float(record.speed_ratio.max()), 6),
         "farthest_beyond_joint_limit_rad": round(max(float(record.limit_excess.max()), 0.0), 6),
         "least_object_distance_mm_started_clear": least(record.object_distance[clear]),
+        "least_object_distance_mm_started_safe": least(record.object_distance[safe]),
         "least_table_height_over_asked_mm": least(record.table_margin),
         "least_finger_distance_mm_started_clear": least(record.finger_distance[clear]),
         "ticks": int(record.ticks.sum()),

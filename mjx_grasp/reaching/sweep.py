@@ -34,13 +34,15 @@ class ReachRecord(NamedTuple):
     """What is kept of each reach.
 
     Attributes:
-        fine_time: ``[tolerances]`` fine-adjustment timer when it converged first, [s]; inf if not.
+        fine_time: ``[tolerances]`` least fine-adjustment timer when converged, [s]; inf if
+            it never was.
         clock: ``[tolerances]`` time since the start then, [s].
         handoff_error: ``[3]`` tip frames to standoff targets at handoff, [m]; NaN without one.
         handoff_contact: ``[3]`` tip frames to the contacts themselves, [m].
         handoff_midpoint: Of midpoints, [m].
         handoff_time: Since the start, [s].
-        started_clear: Whether the robot was clear of the object at the start.
+        start_distance: Of robot and object at the start, [m]; negative in contact.
+        been_clear: Whether they have been apart since.
         object_distance: Least from when it was first clear, [m].
         table_margin: Least height over what is asked for, [m].
         finger_distance: Least, [m].
@@ -61,7 +63,7 @@ class ReachRecord(NamedTuple):
     handoff_contact: Float[Array, " 3"]
     handoff_midpoint: Float[Array, ""]
     handoff_time: Float[Array, ""]
-    started_clear: Bool[Array, ""]
+    start_distance: Float[Array, ""]
     been_clear: Bool[Array, ""]
     object_distance: Float[Array, ""]
     table_margin: Float[Array, ""]
@@ -212,7 +214,7 @@ def empty_record(joints: int) -> ReachRecord:
         handoff_contact=nan,
         handoff_midpoint=jnp.float32(jnp.nan),
         handoff_time=jnp.float32(jnp.nan),
-        started_clear=jnp.asarray(False),
+        start_distance=inf,
         been_clear=jnp.asarray(False),
         object_distance=inf,
         table_margin=inf,
@@ -278,7 +280,7 @@ def recorded(
     error = jnp.where(tick.targets.valid, jnp.max(report.error), jnp.inf)
     tolerance = jnp.asarray(TOLERANCES)
     converged = (error <= tolerance) & (jnp.max(report.speed) < SLOW)
-    first = converged & ~jnp.isfinite(record.fine_time)
+    first = converged & ~jnp.isfinite(record.clock)
     ready = (report.midpoint < HANDOFF_MIDPOINT) & (error <= config.controller.handoff_tips)
     late = (state.timer >= HANDOFF_TIMEOUT) & (error <= HANDOFF_LARGEST)
     hands_off = tick.targets.valid & (ready | late) & ~jnp.isfinite(record.handoff_time)
@@ -290,13 +292,15 @@ def recorded(
     better = error < record.best_error
     limits = config.limits
     return ReachRecord(
-        fine_time=jnp.where(first, state.timer, record.fine_time),
+        fine_time=jnp.where(
+            converged, jnp.minimum(state.timer, record.fine_time), record.fine_time
+        ),
         clock=jnp.where(first, state.clock, record.clock),
         handoff_error=jnp.where(hands_off, report.error, record.handoff_error),
         handoff_contact=jnp.where(hands_off, contact, record.handoff_contact),
         handoff_midpoint=jnp.where(hands_off, report.midpoint, record.handoff_midpoint),
         handoff_time=jnp.where(hands_off, state.clock, record.handoff_time),
-        started_clear=jnp.where(first_tick, clear, record.started_clear),
+        start_distance=jnp.where(first_tick, report.object_distance, record.start_distance),
         been_clear=been_clear,
         object_distance=jnp.where(
             been_clear,

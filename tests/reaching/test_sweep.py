@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.poses import PoseDistribution, draw_poses
 from mjx_grasp.reaching.presets import PRESETS, for_sweep, preset
 from mjx_grasp.reaching.results import FAILURES, PAPER_RATE, classify, summary
@@ -79,7 +80,7 @@ def test_failures_are_classed(body):
     least[1] = 0.05  # no posture
     record.last_table[3] = 0.0005  # against the table
     record.q[4, 2] = body.upper[2] - 0.05  # at a limit
-    names = [FAILURES[k] if k >= 0 else None for k in classify(body, 0.05, record, least)]
+    names = [FAILURES[k] if k >= 0 else None for k in classify(body, LimitConfig(), record, least)]
     assert names == [None, "unreachable", "slow", "collision", "limit", "local minimum"]
 
 
@@ -91,8 +92,8 @@ def test_summary_is_json_with_what_the_issue_names(body):
     record.handoff_error[:6] = 0.004
     record.handoff_contact[:6] = 0.03
     record.handoff_midpoint[:6] = 0.003
-    record.started_clear[:] = True
-    result = summary(body, 0.05, draw_poses(8, 0), record, np.full(8, 0.002))
+    record.start_distance[:] = 0.05
+    result = summary(body, LimitConfig(), draw_poses(8, 0), record, np.full(8, 0.002))
     text = json.loads(json.dumps(result))
     assert text["rate_percent"]["20"]["3"] == 75.0
     assert text["rate_percent_of_solvable"]["20"]["3"] == 75.0

@@ -24,6 +24,8 @@ PALM = 2 * FINGERS
 _BOX_SPHERE_RADIUS = 0.008
 # An arm link with fewer joints than this above it cannot come near table or object.
 _FEWEST_ARM_JOINTS = 4
+# Arm links with this many joints between them can meet.
+_APART = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,8 @@ class ReachBody:
     # Pairs of hand capsules of different fingers, one row per pair of fingers.
     pairs: Int[np.ndarray, "rows k 2"]
     pair_names: tuple[str, ...]
+    # Pairs of arm capsules that are not neighbours, one row per outer link.
+    arm_pairs: Int[np.ndarray, "rows k 2"]
 
 
 def reach_body(robot: RobotSpec) -> ReachBody:
@@ -107,7 +111,10 @@ def reach_body(robot: RobotSpec) -> ReachBody:
 
     points = [(frame_of[palm], *part) for part in _cover(model, palm)]
     arm = [(frame_of[b], *part) for b in arm_bodies for part in _capsules(model, b)]
-    arm_groups = [[n] for n in range(len(arm))]
+    arm_body = [b for b in arm_bodies for _ in _capsules(model, b)]
+    depth = _joints_above(model, arm_body)
+    far = [n for n in range(len(arm)) if depth[n] >= _FEWEST_ARM_JOINTS]
+    arm_pairs = [[(n, m) for m in range(len(arm)) if depth[m] <= depth[n] - _APART] for n in far]
     joints = [model.joint(name) for name in robot.joints]
     return ReachBody(
         robot=robot,
@@ -123,9 +130,12 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         grasping=np.array([any(n in f.joints for f in robot.hand.fingers) for n in robot.joints]),
         hand_capsules=_solids(capsules, groups, tuple(names)),
         palm_points=_solids(points, _quadrants(points), ("palm",) * 4),
-        arm_capsules=_solids(arm, arm_groups, tuple(model.body(b).name for b in arm_bodies)),
+        arm_capsules=_solids(
+            arm, [[n] for n in far], tuple(model.body(arm_body[n]).name for n in far)
+        ),
         pairs=_padded(pairs),
         pair_names=tuple(pair_names),
+        arm_pairs=_padded([pairs for pairs in arm_pairs if pairs]),
     )
 
 
@@ -145,18 +155,25 @@ def _fingers(model: mujoco.MjModel, robot: RobotSpec, palm: int) -> list[list[in
 
 
 def _arm_bodies(model: mujoco.MjModel, palm: int) -> list[int]:
-    """Bodies between base and palm that carry shapes and can move far."""
+    """Bodies between world and palm that carry shapes, the base first."""
     chain: list[int] = []
     body = int(model.body_parentid[palm])
     while body != 0:
         chain.insert(0, body)
         body = int(model.body_parentid[body])
-    joints = np.cumsum([model.body_jntnum[b] for b in chain])
-    return [
-        b
-        for b, above in zip(chain, joints, strict=True)
-        if above >= _FEWEST_ARM_JOINTS and _capsules(model, b)
-    ]
+    return [b for b in chain if _capsules(model, b)]
+
+
+def _joints_above(model: mujoco.MjModel, bodies: list[int]) -> list[int]:
+    """How many joints carry each body."""
+    counts = []
+    for body in bodies:
+        count = 0
+        while body != 0:
+            count += int(model.body_jntnum[body])
+            body = int(model.body_parentid[body])
+        counts.append(count)
+    return counts
 
 
 def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:

@@ -17,6 +17,7 @@ from mjx_grasp.reaching.qp import QP, WarmStart, cold_start, solve_qp
 from mjx_grasp.reaching.surroundings import (
     Proximity,
     Surroundings,
+    arm_proximity,
     finger_proximity,
     object_proximity,
     obstacle_proximity,
@@ -65,6 +66,7 @@ class Report(NamedTuple):
         obstacle_distance: To the obstacles, [m].
         table_margin: Least height above the table over what is asked for, [m].
         finger_distance: Least distance of two fingers, [m].
+        arm_distance: Least distance of the arm's outer links to its base and inner links, [m].
         problem: The programme that was solved.
     """
 
@@ -77,6 +79,7 @@ class Report(NamedTuple):
     obstacle_distance: Float[Array, ""]
     table_margin: Float[Array, ""]
     finger_distance: Float[Array, ""]
+    arm_distance: Float[Array, ""]
     problem: QP
 
 
@@ -91,7 +94,7 @@ def row_count(body: ReachBody, obstacles: int) -> int:
     parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
     around_object = sum(len(s.groups) for s in parts)
     table = len(_by_finger(body)) + 1 + len(body.arm_capsules.groups)
-    return around_object * (2 if obstacles else 1) + table + len(body.pairs)
+    return around_object * (2 if obstacles else 1) + table + len(body.pairs) + len(body.arm_pairs)
 
 
 def _by_finger(body: ReachBody) -> np.ndarray:
@@ -131,6 +134,8 @@ def half_spaces(
     safe += table_clearances(body, config)
     near["fingers"] = finger_proximity(body, motion)
     safe += [limits.finger_clearance] * len(near["fingers"].distance)
+    near["arm"] = arm_proximity(body, motion)
+    safe += [limits.object_clearance] * len(near["arm"].distance)
     everything = stacked(list(near.values()))
     drift = everything.drift if limits.follow_object else 0.0
     bound = (jnp.asarray(safe) - everything.distance) / limits.horizon
@@ -204,6 +209,7 @@ def command(
         obstacle_distance=jnp.min(obstacle),
         table_margin=jnp.min(table),
         finger_distance=jnp.min(near["fingers"].distance),
+        arm_distance=jnp.min(near["arm"].distance),
         problem=problem,
     )
     return x, Memory(x, solution.warm), report

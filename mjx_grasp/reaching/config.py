@@ -152,6 +152,8 @@ class ControllerConfig:
     """largest tip error with which it still hands off at the time-out [m]"""
     reselections: int = 1
     """tries with another candidate before a reach fails [-]"""
+    reselect_late: bool = True
+    """whether the fine-adjustment time-out leads to another candidate before it fails"""
     timeout: float = 10.0
     """of the whole reach [s]"""
     stall_time: float = float("inf")

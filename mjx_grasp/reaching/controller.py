@@ -269,8 +269,8 @@ class Reacher:
         best = jnp.where(afresh, jnp.inf, jnp.where(improves, now, state.best))
         since = jnp.where(jnp.any(improves) | afresh, 0.0, state.since + config.dt)
         stalls = since >= config.stall_time
-        again = running & ~hands_off & (timed_out | stalls)
-        again &= state.tries < config.reselections
+        again = jnp.where(timed_out, config.reselect_late, stalls)
+        again &= running & ~hands_off & (state.tries < config.reselections)
         late = clock >= config.timeout
         fails = ~hands_off & ~again & (late | timed_out)
         failure = jnp.where(targets.valid, Outcome.FAILED, Outcome.NO_CANDIDATE)

@@ -76,16 +76,15 @@ def preset(name: str) -> Preset:
 def for_sweep(settings: Preset) -> Preset:
     """No handoff and no cap: a reach ends when the fine timer is at 7 s, or after 15 s (§3).
 
-    Re-selection at the time-out would restart the timer; what looks ahead may change its plan
-    earlier, while the timer runs on.
+    There is no re-selection at the time-out, which would restart the timer; what looks ahead may
+    change its plan earlier, while the timer runs on.
     """
-    again = settings.reach.controller.reselections if settings.plan else 0
     controller = replace(
         settings.reach.controller,
         handoff_midpoint=-1.0,
         handoff_largest=-1.0,
         fine_timeout=7.0,
         timeout=15.0,
-        reselections=again,
+        reselect_late=False,
     )
     return replace(settings, reach=replace(settings.reach, controller=controller))

@@ -173,6 +173,7 @@ def _limits(record: ReachRecord, limits: LimitConfig) -> dict[str, float | int |
         "least_object_distance_mm_started_clear": least(record.object_distance[clear]),
         "least_object_distance_mm_started_safe": least(record.object_distance[safe]),
         "least_table_height_over_asked_mm": least(record.table_margin),
+        "least_arm_to_itself_mm": least(record.arm_distance),
         "least_finger_distance_mm_started_clear": least(record.finger_distance[clear]),
         "ticks": int(record.ticks.sum()),
         "ticks_infeasible": int(record.infeasible.sum()),

@@ -194,9 +194,20 @@ def table_proximity(
 
 def finger_proximity(body: ReachBody, motion: Motion) -> Proximity:
     """Distances of every two fingers."""
-    solids = body.hand_capsules
+    return _between(body, body.hand_capsules, body.pairs, motion)
+
+
+def arm_proximity(body: ReachBody, motion: Motion) -> Proximity:
+    """Distances of the arm's outer links to its base and inner links."""
+    return _between(body, body.arm_capsules, body.arm_pairs, motion)
+
+
+def _between(
+    body: ReachBody, solids: Solids, pairs: Int[np.ndarray, "rows k 2"], motion: Motion
+) -> Proximity:
+    """Of each row of pairs of ``solids`` the nearest."""
     start, end = placed(solids, motion)
-    a, b = jnp.asarray(body.pairs[..., 0]), jnp.asarray(body.pairs[..., 1])
+    a, b = jnp.asarray(pairs[..., 0]), jnp.asarray(pairs[..., 1])
     radius = jnp.asarray(solids.radius)
     on_a, on_b = closest_between_segments(start[a], end[a], start[b], end[b])
     gap = norm(on_a - on_b) - radius[a] - radius[b]

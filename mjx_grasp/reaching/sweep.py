@@ -45,7 +45,7 @@ class ReachRecord(NamedTuple):
         been_clear: Whether they have been apart since.
         object_distance: Least from when it was first clear, [m].
         table_margin: Least height over what is asked for, [m].
-        finger_distance: Least, [m].
+        finger_distance, arm_distance: Least of two fingers, and of the arm to itself, [m].
         speed_ratio: Largest joint speed over its limit [-].
         limit_excess: Farthest beyond a joint limit, [rad].
         infeasible: Ticks without a solution.
@@ -68,6 +68,7 @@ class ReachRecord(NamedTuple):
     object_distance: Float[Array, ""]
     table_margin: Float[Array, ""]
     finger_distance: Float[Array, ""]
+    arm_distance: Float[Array, ""]
     speed_ratio: Float[Array, ""]
     limit_excess: Float[Array, ""]
     infeasible: Int[Array, ""]
@@ -219,6 +220,7 @@ def empty_record(joints: int) -> ReachRecord:
         object_distance=inf,
         table_margin=inf,
         finger_distance=inf,
+        arm_distance=inf,
         speed_ratio=jnp.float32(0.0),
         limit_excess=jnp.float32(0.0),
         infeasible=jnp.int32(0),
@@ -309,6 +311,7 @@ def recorded(
         ),
         table_margin=jnp.minimum(record.table_margin, report.table_margin),
         finger_distance=jnp.minimum(record.finger_distance, report.finger_distance),
+        arm_distance=jnp.minimum(record.arm_distance, report.arm_distance),
         speed_ratio=jnp.maximum(
             record.speed_ratio, jnp.max(jnp.abs(tick.velocity) / body.velocity_limit)
         ),

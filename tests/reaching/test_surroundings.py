@@ -89,8 +89,8 @@ def test_distance_between_fingers_is_that_of_mujoco(body, oracle):
     distance, geoms, _ = oracle
     for q in _configurations(body, 6, seed=1):
         near = finger_proximity(body, body.kinematics.motion(jnp.asarray(q)))
-        a = geoms(*body.robot.hand.fingers[1].bodies[-3:])
-        b = geoms(*body.robot.hand.fingers[2].bodies[-3:])
+        a = geoms(*body.robot.hand.fingers[1].bodies)
+        b = geoms(*body.robot.hand.fingers[2].bodies)
         names = [f.bodies[-1] for f in body.robot.hand.fingers]
         row = body.pair_names.index(f"{names[1]}/{names[2]}")
         exact = distance(q, a, b)

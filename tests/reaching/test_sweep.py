@@ -107,7 +107,7 @@ def test_presets_add_one_thing_after_another():
     assert preset("paper").plan is None and preset("default").plan is not None
     assert len({repr(p) for p in PRESETS.values()}) == len(PRESETS)
     ended = for_sweep(preset("paper")).reach.controller
-    assert (ended.fine_timeout, ended.timeout, ended.reselections) == (7.0, 15.0, 0)
+    assert (ended.fine_timeout, ended.timeout, ended.reselect_late) == (7.0, 15.0, False)
     with pytest.raises(InputError, match="preset"):
         preset("fast")
 

@@ -23,8 +23,6 @@ class FieldConfig:
     """of that sphere [m]"""
     path_samples: int = 6
     """of a segment, at which its clearance is measured [-]"""
-    via_period: int = 1
-    """ticks between choices of the via-points [-]"""
     orientation_gain: float = 5.0
     """angular speed per sine of the angle between pad normal and its goal [rad/s]"""
     orientation_weight: float = 0.003

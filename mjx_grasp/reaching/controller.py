@@ -197,6 +197,11 @@ class Reacher:
             obstacles: Spheres to avoid: centre in world and radius, [m].
             plans: As at the start.
         """
+        # No accelerator shall round products of small matrices to TF32.
+        with jax.default_matmul_precision("highest"):
+            return self._tick(state, q, shape, candidates, p_wo, R_wo, obstacles, plans)
+
+    def _tick(self, state, q, shape, candidates, p_wo, R_wo, obstacles, plans):
         config, limits = self.config.controller, self.config.limits
         motion = self.body.kinematics.motion(q)
         twist = _twist(state, p_wo, R_wo, config.dt, limits.object_speed)

@@ -177,6 +177,12 @@ def plan_reach(
         q: Present configuration, [rad].
         key: Chooses among the library's entries around the object.
     """
+    # No accelerator shall round products of small matrices to TF32.
+    with jax.default_matmul_precision("highest"):
+        return _plan(body, config, selection, plan, library, candidates, around, q, key)
+
+
+def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:
     options = _options(candidates, around, selection, config)
     middle = 0.5 * library.tips[:, 0] + 0.25 * (library.tips[:, 1] + library.tips[:, 2])
     distance = norm(middle - around.p_wo)

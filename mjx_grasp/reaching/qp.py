@@ -96,6 +96,12 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
         warm: The last tick's, or :func:`cold_start`.
         config: Steps and iterations.
     """
+    # No accelerator shall round the products to TF32.
+    with jax.default_matmul_precision("highest"):
+        return _solve(problem, warm, config)
+
+
+def _solve(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     P, q, A, b, lower, upper = problem
     scale, row_scale = scales(problem)
     A_s = A * scale * row_scale[:, None]

@@ -110,6 +110,7 @@ def summary(
         "fine_seconds_to_10mm": _percentiles(record.fine_time[:, 0]),
         "handoff_mm": _handoff(record),
         "limits": _limits(record, limits),
+        "nearest_poses": _nearest(record, limits),
     }
     if least_error is not None:
         least = np.asarray(least_error)
@@ -180,6 +181,14 @@ def _limits(record: ReachRecord, limits: LimitConfig) -> dict[str, float | int |
         "ticks_infeasible_started_clear": int(record.infeasible[clear].sum()),
         "reaches_with_infeasible_ticks": int((record.infeasible > 0).sum()),
     }
+
+
+def _nearest(record: ReachRecord, limits: LimitConfig, count: int = 5) -> dict[str, float]:
+    """Of the poses that started at a safe distance those that came nearest, [mm]."""
+    safe = np.flatnonzero(np.asarray(record.start_distance) >= limits.object_clearance)
+    distance = np.asarray(record.object_distance)[safe]
+    order = np.argsort(distance, kind="stable")[:count]
+    return {str(safe[k]): round(1e3 * float(distance[k]), 3) for k in order}
 
 
 def rate_table(result: dict[str, Any], label: str) -> Table:

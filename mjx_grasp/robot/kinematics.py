@@ -10,14 +10,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.robot.chains import Chains, compile_chains
+
+
+class Motion(NamedTuple):
+    """Where the frames are, and how each joint moves whatever is fixed to what it carries.
+
+    Attributes:
+        pos: ``[frames, 3]`` origins in world, [m].
+        mat: ``[frames, 3, 3]`` rotations; columns are the frame's axes.
+        screws: ``[joints, 6]`` the joints' axes ω (zero for a slide), then the velocity at the
+            world's origin of a body turning or sliding with them. A point p that joint j moves has
+            velocity ``ω_j × p + v_j`` per unit of joint velocity; along a direction n that is
+            ``screws[j] · (p × n, n)``.
+    """
+
+    pos: Float[Array, "frames 3"]
+    mat: Float[Array, "frames 3 3"]
+    screws: Float[Array, "joints 6"]
 
 
 @jax.tree_util.register_static
@@ -52,6 +70,27 @@ class Kinematics:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in the order of q."""
         return self.chains.joint_names
+
+    @property
+    def moves(self) -> Bool[np.ndarray, "frames joints"]:
+        """Whether a joint moves a frame."""
+        moves = np.zeros((len(self.frames), len(self.joints)), bool)
+        moves[:, self.chains.column] = self.chains.moves
+        return moves
+
+    def motion(self, q: Float[Array, " joints"]) -> Motion:
+        """Frames and joint screws from one pass; rows of any point's Jacobian are dot products."""
+        chains = self.chains
+        node_pos, node_mat = self._nodes(q)
+        parent_mat = node_mat[chains.parent]
+        axis = _rotated(parent_mat, _constant(chains.axis, q))
+        anchor = node_pos[chains.parent] + _rotated(parent_mat, _constant(chains.anchor, q))
+        hinge = jnp.asarray(chains.hinge)[:, None]
+        angular = jnp.where(hinge, axis, 0.0)
+        linear = jnp.where(hinge, jnp.cross(anchor, axis), axis)
+        screws = jnp.zeros((len(self.joints), 6), q.dtype)
+        screws = screws.at[chains.column].set(jnp.concatenate([angular, linear], axis=-1))
+        return Motion(*self._frames(node_pos, node_mat), screws)
 
     def forward(
         self, q: Float[Array, " joints"]

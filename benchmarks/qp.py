@@ -1,0 +1,194 @@
+"""Quadratic programmes per second and their accuracy, on problems drawn from real reaches.
+
+Side by side: the fixed-iteration ADMM of this package (warm-started, float32, batched), qpax
+(interior point, batched, both on whatever device JAX finds) and, where it is installed, OSQP (one
+problem after another on one core). The exact answers are qpax's in float64.
+
+  python benchmarks/qp.py --out FILE.json
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import qpax
+import tyro
+
+from mjx_grasp.cli import run_command
+from mjx_grasp.provenance import provenance
+from mjx_grasp.reaching.body import reach_body
+from mjx_grasp.reaching.config import SolverConfig
+from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.poses import draw_poses
+from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.problems import draw_problems, kkt_residuals, solution_errors
+from mjx_grasp.reaching.qp import QP, scales, solve_qp
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sweep_reach import write_json
+
+_PERCENTILES = (50, 90, 99, 100)
+
+
+@dataclass(frozen=True)
+class QpBenchmarkConfig:
+    """What to measure."""
+
+    out: Path
+    """results file to write (.json)"""
+    poses: int = 64
+    """reaches the problems are drawn from [-]"""
+    per_pose: int = 16
+    """problems of each [-]"""
+    iterations: tuple[int, ...] = (25, 50, 100)
+    """of ADMM [-]"""
+    repeats: int = 7
+    seed: int = 11
+
+
+def exact_solutions(problems: QP) -> np.ndarray:
+    """By qpax in float64, in the solver's scaling."""
+
+    def one(problem):
+        scale, row_scale = scales(problem)
+        P, q, G, h = _inequalities(problem, scale, row_scale)
+        none = jnp.zeros((0, len(q))), jnp.zeros(0)
+        return qpax.solve_qp(P, q, *none, G, h, solver_tol=1e-8)[0] * scale
+
+    with jax.enable_x64(True):
+        doubled = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), problems)
+        return np.asarray(jax.jit(jax.vmap(one))(doubled))
+
+
+def _inequalities(problem, scale, row_scale):
+    """The problem as ½yᵀPy + qᵀy with Gy ≤ h, scaled."""
+    n = len(problem.q)
+    rows = problem.A * scale * row_scale[:, None]
+    G = jnp.concatenate([-rows, jnp.eye(n), -jnp.eye(n)])
+    h = jnp.concatenate([-problem.b * row_scale, problem.upper / scale, -problem.lower / scale])
+    return problem.P * scale * scale[:, None], problem.q * scale, G, h
+
+
+def median_seconds(run: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of a run, after one that does not count."""
+    jax.block_until_ready(run())
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(run())
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def accuracy(problems: QP, x, exact: np.ndarray, ok: np.ndarray) -> dict[str, dict[str, float]]:
+    """Percentiles of the errors over the solvable problems."""
+    errors = solution_errors(problems, jnp.asarray(x, jnp.float32), jnp.asarray(exact, jnp.float32))
+    return {
+        name: {f"p{p}": float(np.percentile(np.abs(np.asarray(e)[ok]), p)) for p in _PERCENTILES}
+        for name, e in errors.items()
+    }
+
+
+def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] | None:
+    """OSQP at its default settings, one problem after another; None where it is not installed."""
+    try:
+        import osqp
+        from scipy import sparse
+    except ImportError:
+        return None
+    n = problems.q.shape[1]
+    solvers, answers = [], []
+    for k in range(len(problems.q)):
+        p = jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k], np.float64), problems)
+        solver = osqp.OSQP()
+        A = sparse.csc_matrix(np.vstack([np.eye(n), p.A]))
+        low = np.concatenate([p.lower, p.b])
+        high = np.concatenate([p.upper, np.full(len(p.b), np.inf)])
+        solver.setup(sparse.csc_matrix(np.triu(p.P)), p.q, A, low, high, verbose=False)
+        solvers.append(solver)
+    start = time.perf_counter()
+    for solver in solvers:
+        answers.append(solver.solve().x)
+    seconds = time.perf_counter() - start
+    x = np.array([np.zeros(n) if a is None or not np.isfinite(a).all() else a for a in answers])
+    return {
+        "solver": "OSQP",
+        "version": osqp.__version__,
+        "device": "CPU, one core, set-up not counted",
+        "problems_per_s": len(x) / seconds,
+        "errors": accuracy(problems, x, exact, ok),
+    }
+
+
+def measure(config: QpBenchmarkConfig) -> dict[str, Any]:
+    """All rows."""
+    paper = preset("paper")
+    reach = replace(paper.reach, fields=replace(paper.reach.fields, via_points=20))
+    reacher = Reacher(reach_body(load_robot()), reach, paper.selection)
+    problems, warm = draw_problems(reacher, draw_poses(config.poses, config.seed), config.per_pose)
+    exact = exact_solutions(problems)
+    violation = np.asarray(jax.vmap(lambda p, x: jnp.max(p.b - p.A @ x))(problems, exact))
+    ok = np.isfinite(exact).all(axis=1) & (violation < 1e-4)
+    count = len(ok)
+    rows = []
+    for iterations in config.iterations:
+        settings = replace(SolverConfig(), iterations=iterations)
+        solve = jax.jit(jax.vmap(lambda p, w, s=settings: solve_qp(p, w, s)))
+        seconds = median_seconds(lambda f=solve: f(problems, warm), config.repeats)
+        found = solve(problems, warm)
+        kkt = kkt_residuals(problems, found.x, found.warm, settings)
+        rows.append(
+            {
+                "solver": f"ADMM, {iterations} iterations, warm",
+                "problems_per_s": count / seconds,
+                "errors": accuracy(problems, found.x, exact, ok),
+                "kkt_p99": {k: float(np.percentile(np.asarray(v)[ok], 99)) for k, v in kkt.items()},
+            }
+        )
+
+    @jax.jit
+    @jax.vmap
+    def interior_point(problem):
+        scale, row_scale = scales(problem)
+        P, q, G, h = _inequalities(problem, scale, row_scale)
+        none = jnp.zeros((0, len(q))), jnp.zeros(0)
+        return qpax.solve_qp(P, q, *none, G, h, solver_tol=1e-4)[0] * scale
+
+    seconds = median_seconds(lambda: interior_point(problems), config.repeats)
+    x = np.nan_to_num(np.asarray(interior_point(problems)))
+    rows.append(
+        {
+            "solver": "qpax, float32, tolerance 1e-4",
+            "problems_per_s": count / seconds,
+            "errors": accuracy(problems, x, exact, ok),
+        }
+    )
+    other = osqp_row(problems, exact, ok)
+    if other:
+        rows.append(other)
+    return {
+        "problems": count,
+        "solvable": int(ok.sum()),
+        "variables": problems.A.shape[2],
+        "half_spaces": problems.A.shape[1],
+        "rows": rows,
+    }
+
+
+def main(config: QpBenchmarkConfig) -> None:
+    """Measures, prints, writes."""
+    result = {"provenance": provenance(config.seed), **measure(config)}
+    write_json(config.out, result)
+    print(json.dumps(result["rows"], indent=1))
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(QpBenchmarkConfig, description=__doc__)))

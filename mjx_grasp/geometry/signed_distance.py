@@ -1,0 +1,199 @@
+"""Signed distances to shapes, with their gradients: exact for primitives, sampled for meshes.
+
+A shape is a pytree of arrays, so that a batch of them, each of another size, is a ``vmap``. Its
+frame is the object's; distances are negative inside; the gradient is the outward unit normal of
+the nearest surface point (any one of them where several are equally near).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mjx_grasp.geometry.vectors import dot, unit
+
+# Below this length in [m] a direction is rounding, and a fixed one is taken.
+_SHORT = 1e-9
+
+
+class Sphere(NamedTuple):
+    """A ball about the origin.
+
+    Attributes:
+        radius: In [m].
+    """
+
+    radius: Float[Array, ""]
+
+
+class Capsule(NamedTuple):
+    """All points within a radius of a piece of the z axis.
+
+    Attributes:
+        radius: In [m].
+        half_length: From the origin to either end of the axis, [m].
+    """
+
+    radius: Float[Array, ""]
+    half_length: Float[Array, ""]
+
+
+class Cylinder(NamedTuple):
+    """A solid cylinder about the z axis.
+
+    Attributes:
+        radius: In [m].
+        half_length: From the origin to either end face, [m].
+    """
+
+    radius: Float[Array, ""]
+    half_length: Float[Array, ""]
+
+
+class Box(NamedTuple):
+    """A solid box about the origin.
+
+    Attributes:
+        half: ``[3]`` half extents in [m].
+    """
+
+    half: Float[Array, " 3"]
+
+
+class DistanceField(NamedTuple):
+    """Distances to a mesh on a regular grid, between which they are interpolated.
+
+    Beyond the grid the distance to its border is added: never more than the true distance to the
+    surface by more than the grid's own error.
+
+    Attributes:
+        values: ``[nx, ny, nz]`` in [m].
+        origin: ``[3]`` the first grid point, [m].
+        spacing: Between grid points, the same along all axes, [m].
+    """
+
+    values: Float[Array, "nx ny nz"]
+    origin: Float[Array, " 3"]
+    spacing: Float[Array, ""]
+
+
+Shape = Sphere | Capsule | Cylinder | Box | DistanceField
+
+
+def signed_distance(shape: Shape, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """Distance in [m] of points of the shape's frame to its surface, negative inside."""
+    return distance_and_normal(shape, points)[0]
+
+
+def distance_and_normal(
+    shape: Shape, points: Float[Array, "*n 3"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n 3"]]:
+    """Signed distance in [m] and its gradient, of unit length for primitives.
+
+    Args:
+        shape: What to stay away from.
+        points: In the shape's frame, [m].
+    """
+    match shape:
+        case Sphere():
+            return _to_point(points, shape.radius)
+        case Capsule():
+            z = jnp.clip(points[..., 2], -shape.half_length, shape.half_length)
+            axis = jnp.asarray([0.0, 0.0, 1.0], points.dtype)
+            return _to_point(points - z[..., None] * axis, shape.radius)
+        case Cylinder():
+            return _to_cylinder(points, shape)
+        case Box():
+            return _to_box(points, shape)
+        case DistanceField():
+            return _interpolated(points, shape)
+
+
+def _to_point(offset, radius):
+    squared = dot(offset, offset)
+    known = squared > _SHORT**2
+    length = jnp.sqrt(jnp.where(known, squared, 1.0))
+    up = jnp.asarray([0.0, 0.0, 1.0], offset.dtype)
+    normal = jnp.where(known[..., None], offset / length[..., None], up)
+    return jnp.where(known, length, 0.0) - radius, normal
+
+
+def _rounded(first, second):
+    """Distance from a quarter-plane corner, given distances beyond its two sides, and weights."""
+    outside_first, outside_second = jnp.maximum(first, 0.0), jnp.maximum(second, 0.0)
+    squared = outside_first**2 + outside_second**2
+    corner = (first > 0) & (second > 0)
+    length = jnp.sqrt(jnp.where(corner, squared, 1.0))
+    larger = first > second
+    distance = jnp.where(corner, length, jnp.maximum(first, second))
+    w_first = jnp.where(corner, outside_first / length, jnp.where(larger, 1.0, 0.0))
+    w_second = jnp.where(corner, outside_second / length, jnp.where(larger, 0.0, 1.0))
+    return distance, w_first, w_second
+
+
+def _to_cylinder(points, shape):
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    squared = x * x + y * y
+    known = squared > _SHORT**2
+    rho = jnp.sqrt(jnp.where(known, squared, 1.0))
+    beyond_side = jnp.where(known, rho, 0.0) - shape.radius
+    beyond_end = jnp.abs(z) - shape.half_length
+    distance, side, end = _rounded(beyond_side, beyond_end)
+    normal = jnp.stack(
+        [
+            side * jnp.where(known, x / rho, 1.0),
+            side * jnp.where(known, y / rho, 0.0),
+            end * jnp.where(z < 0, -1.0, 1.0),
+        ],
+        axis=-1,
+    )
+    return distance, normal
+
+
+def _to_box(points, shape):
+    beyond = jnp.abs(points) - shape.half
+    sign = jnp.where(points < 0, -1.0, 1.0)
+    outside = jnp.maximum(beyond, 0.0)
+    squared = dot(outside, outside)
+    is_outside = squared > 0
+    length = jnp.sqrt(jnp.where(is_outside, squared, 1.0))
+    nearest_face = jax.nn.one_hot(jnp.argmax(beyond, axis=-1), 3, dtype=points.dtype)
+    normal = jnp.where(is_outside[..., None], outside / length[..., None], nearest_face)
+    return jnp.where(is_outside, length, jnp.max(beyond, axis=-1)), sign * normal
+
+
+def _interpolated(points, shape):
+    """Trilinear, with the gradient of the interpolation itself."""
+    last = jnp.asarray(shape.values.shape) - 1
+    place = (points - shape.origin) / shape.spacing
+    inside = jnp.clip(place, 0.0, last.astype(points.dtype))
+    cell = jnp.minimum(inside.astype(jnp.int32), last - 1)
+    t = inside - cell
+    i, j, k = cell[..., 0], cell[..., 1], cell[..., 2]
+    c = {
+        (a, b, d): shape.values[i + a, j + b, k + d] for a in (0, 1) for b in (0, 1) for d in (0, 1)
+    }
+    x, y, z = t[..., 0], t[..., 1], t[..., 2]
+    # Along z, then y, then x; slopes from the same differences.
+    dz = {(a, b): c[a, b, 1] - c[a, b, 0] for a in (0, 1) for b in (0, 1)}
+    cz = {ab: c[(*ab, 0)] + z * dz[ab] for ab in dz}
+    dy = {a: cz[a, 1] - cz[a, 0] for a in (0, 1)}
+    cy = {a: cz[a, 0] + y * dy[a] for a in (0, 1)}
+    value = cy[0] + x * (cy[1] - cy[0])
+    dz0 = dz[0, 0] + y * (dz[0, 1] - dz[0, 0])
+    dz1 = dz[1, 0] + y * (dz[1, 1] - dz[1, 0])
+    slope = jnp.stack([cy[1] - cy[0], dy[0] + x * (dy[1] - dy[0]), dz0 + x * (dz1 - dz0)], axis=-1)
+    slope = slope / shape.spacing
+    beyond = (place - inside) * shape.spacing
+    away = dot(beyond, beyond)
+    outside = away > 0
+    gap = jnp.sqrt(jnp.where(outside, away, 1.0))
+    # Outside the grid the way back to it leads to the surface, nearly enough.
+    towards = unit(slope * jnp.maximum(value, 0.0)[..., None] + beyond)
+    return (
+        value + jnp.where(outside, gap, 0.0),
+        jnp.where(outside[..., None], towards, slope),
+    )

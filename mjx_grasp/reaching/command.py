@@ -1,0 +1,283 @@
+"""One tick of control: from targets and surroundings to a joint velocity (method §3, 'QP')."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.geometry.vectors import norm
+from mjx_grasp.reaching import fields
+from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody, Solids
+from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.guide import GuideGoal
+from mjx_grasp.reaching.qp import QP, WarmStart, cold_start, solve_qp
+from mjx_grasp.reaching.surroundings import (
+    Proximity,
+    Surroundings,
+    arm_proximity,
+    finger_proximity,
+    object_proximity,
+    obstacle_proximity,
+    stacked,
+    table_proximity,
+)
+from mjx_grasp.robot.kinematics import Motion
+
+
+class Goals(NamedTuple):
+    """Where the hand is to be; world frame.
+
+    Attributes:
+        tips: ``[3, 3]`` standoff targets of the tip frames, [m].
+        pads: ``[3, 3]`` unit directions for the pad normals.
+        guide: Where a plan wants the whole hand.
+    """
+
+    tips: Float[Array, "3 3"]
+    pads: Float[Array, "3 3"]
+    guide: GuideGoal
+
+
+class Memory(NamedTuple):
+    """What one tick leaves to the next.
+
+    Attributes:
+        command: ``[joints]`` the last command, [rad/s].
+        warm: The solver's.
+    """
+
+    command: Float[Array, " joints"]
+    warm: WarmStart
+
+
+class Report(NamedTuple):
+    """What a tick found and did.
+
+    Attributes:
+        error: ``[3]`` tip frames to standoff targets, [m].
+        midpoint: Of midpoints, [m].
+        speed: ``[3]`` of the tips under the command, [m/s].
+        feasible: Whether the programme had a solution; where not, the command is zero, or escapes.
+        violation: Of the half-spaces by the solver's answer, [m/s].
+        object_distance: Least distance of the robot to the object, [m].
+        obstacle_distance: To the obstacles, [m].
+        table_margin: Least height above the table over what is asked for, [m].
+        finger_distance: Least distance of two fingers, [m].
+        arm_distance: Least distance of the arm's outer links to its base and inner links, [m].
+        problem: The programme that was solved.
+    """
+
+    error: Float[Array, " 3"]
+    midpoint: Float[Array, ""]
+    speed: Float[Array, " 3"]
+    feasible: Bool[Array, ""]
+    violation: Float[Array, ""]
+    object_distance: Float[Array, ""]
+    obstacle_distance: Float[Array, ""]
+    table_margin: Float[Array, ""]
+    finger_distance: Float[Array, ""]
+    arm_distance: Float[Array, ""]
+    problem: QP
+
+
+def start_memory(body: ReachBody, obstacles: int) -> Memory:
+    """The memory at rest."""
+    joints = len(body.lower)
+    return Memory(jnp.zeros(joints), cold_start(joints, row_count(body, obstacles)))
+
+
+def row_count(body: ReachBody, obstacles: int) -> int:
+    """Number of half-spaces."""
+    parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
+    around_object = sum(len(s.groups) for s in parts)
+    table = len(_by_finger(body)) + 1 + len(body.arm_capsules.groups)
+    return around_object * (2 if obstacles else 1) + table + len(body.pairs) + len(body.arm_pairs)
+
+
+def _by_finger(body: ReachBody) -> np.ndarray:
+    """Capsules of each finger as one group."""
+    solids, names = body.hand_capsules, body.hand_capsules.names
+    groups = [
+        np.unique(solids.groups[[k for k, n in enumerate(names) if n == name]])
+        for name in dict.fromkeys(names)
+    ]
+    longest = max(len(g) for g in groups)
+    return np.array([np.pad(g, (0, longest - len(g)), "edge") for g in groups])
+
+
+def _everything(solids: Solids) -> np.ndarray:
+    return np.arange(len(solids.frame))[None]
+
+
+def half_spaces(
+    body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
+) -> tuple[Float[Array, "m joints"], Float[Array, " m"], dict[str, Proximity]]:
+    """``n̂ᵀJ x ≥ min((d_safe − d)/H, v_escape)`` for all that must stay apart.
+
+    Returns:
+        The rows, their bounds in [m/s], and the distances by kind.
+    """
+    limits = config.limits
+    parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
+    near = {"object": stacked([object_proximity(body, s, motion, around) for s in parts])}
+    safe = [limits.object_clearance] * len(near["object"].distance)
+    if around.obstacles.shape[0]:
+        near["obstacles"] = stacked([obstacle_proximity(body, s, motion, around) for s in parts])
+        safe += [limits.object_clearance] * len(near["obstacles"].distance)
+    hand_groups = (_by_finger(body), _everything(body.palm_points), body.arm_capsules.groups)
+    near["table"] = stacked(
+        [table_proximity(body, s, g, motion) for s, g in zip(parts, hand_groups, strict=True)]
+    )
+    safe += table_clearances(body, config)
+    near["fingers"] = finger_proximity(body, motion)
+    safe += [limits.finger_clearance] * len(near["fingers"].distance)
+    near["arm"] = arm_proximity(body, motion)
+    safe += [limits.object_clearance] * len(near["arm"].distance)
+    everything = stacked(list(near.values()))
+    drift = everything.drift if limits.follow_object else 0.0
+    bound = (jnp.asarray(safe) - everything.distance) / limits.horizon
+    bound = jnp.minimum(bound - drift, limits.escape_speed)
+    return everything.slope, bound, near
+
+
+def table_clearances(body: ReachBody, config: ReachConfig) -> list[float]:
+    """What the rows of the table ask for, [m]."""
+    hand = len(_by_finger(body)) + 1
+    arm = len(body.arm_capsules.groups)
+    limits = config.limits
+    return [limits.hand_table_clearance] * hand + [limits.arm_table_clearance] * arm
+
+
+def velocity_box(
+    body: ReachBody, q: Float[Array, " joints"], config: ReachConfig
+) -> tuple[Float[Array, " joints"], Float[Array, " joints"]]:
+    """Velocity limits, and position limits over the horizon, [rad/s]; never empty."""
+    limits = config.limits
+    margin = np.minimum(limits.limit_margin, 0.25 * (body.upper - body.lower))
+    to_lower = (body.lower + margin - q) / limits.horizon
+    to_upper = (body.upper - margin - q) / limits.horizon
+    most = body.velocity_limit
+    return jnp.clip(to_lower, -most, most), jnp.clip(to_upper, -most, most)
+
+
+def command(
+    body: ReachBody,
+    config: ReachConfig,
+    q: Float[Array, " joints"],
+    goals: Goals,
+    around: Surroundings,
+    memory: Memory,
+) -> tuple[Float[Array, " joints"], Memory, Report]:
+    """The joint velocity for this tick.
+
+    Args:
+        body: The robot.
+        config: Settings.
+        q: Configuration, [rad].
+        goals: Where tips and pads are to be.
+        around: Object and obstacles.
+        memory: From the last tick.
+
+    Returns:
+        The command in [rad/s], the memory, and what was found.
+    """
+    motion = body.kinematics.motion(q)
+    tips = motion.pos[:FINGERS]
+    middle = norm(fields.midpoint(tips) - fields.midpoint(goals.tips))
+    tip_rows = point_jacobians(body, motion, np.arange(FINGERS), tips)
+
+    problem, near = _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
+    solution = solve_qp(problem, memory.warm, config.solver)
+    feasible = solution.violation <= config.solver.feasible
+    used = feasible
+    if config.solver.partial_escape:
+        worsens = jnp.max(jnp.minimum(problem.b, 0.0) - problem.A @ solution.x)
+        used |= worsens <= config.solver.feasible
+    x = jnp.where(used, solution.x, 0.0)
+    obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
+    table = near["table"].distance - jnp.asarray(table_clearances(body, config))
+    report = Report(
+        error=norm(tips - goals.tips),
+        midpoint=middle,
+        speed=norm(tip_rows @ x),
+        feasible=feasible,
+        violation=solution.violation,
+        object_distance=jnp.min(near["object"].distance),
+        obstacle_distance=jnp.min(obstacle),
+        table_margin=jnp.min(table),
+        finger_distance=jnp.min(near["fingers"].distance),
+        arm_distance=jnp.min(near["arm"].distance),
+        problem=problem,
+    )
+    return x, Memory(x, solution.warm), report
+
+
+def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle):
+    """The quadratic programme of this tick."""
+    tips, pads = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+    heads_for = goals.tips + goals.guide.offset
+    heading, length = fields.way_points(tips, heads_for, around, config.fields)
+    v_tips = fields.tip_velocities(tips, heading, length, config.fields, config.controller.dt)
+    v_tips = v_tips + goals.guide.offset_rate
+    if config.limits.follow_object:
+        v_tips = v_tips + around.v_wo[:3] + jnp.cross(around.v_wo[3:], goals.tips - around.p_wo)
+    turn, turn_weight = fields.pad_rotation(pads, goals.pads, middle, config.fields)
+    turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
+    # A pad may spin about its own normal as it likes.
+    along = jnp.einsum("fk,fkj->fj", pads, turning)
+    turning = turning - pads[:, :, None] * along[:, None, :]
+
+    v_posture, w_posture = fields.posture_velocity(body, q, goals.guide, middle, config)
+    root = jnp.sqrt(turn_weight)[:, None]
+    v_palm, w_palm = fields.palm_twist(
+        motion.pos[PALM], motion.mat[PALM], goals.guide, config.guide
+    )
+    palm_root = jnp.sqrt(w_palm)
+    left = goals.guide.left
+    tip_root = jnp.sqrt(1.0 + left * (config.guide.tip_weight - 1.0))
+    palm = np.array([PALM])
+    palm_rows = jnp.concatenate(
+        [
+            point_jacobians(body, motion, palm, motion.pos[palm])[0],
+            angular_jacobians(body, motion, palm)[0],
+        ]
+    )
+    rows = jnp.concatenate(
+        [
+            tip_root * tip_rows.reshape(9, -1),
+            (root[:, :, None] * turning).reshape(9, -1),
+            palm_root[:, None] * palm_rows,
+        ]
+    )
+    wanted = jnp.concatenate(
+        [tip_root * v_tips.reshape(-1), (root * turn).reshape(-1), palm_root * v_palm]
+    )
+    solver = config.solver
+    effort = jnp.where(jnp.asarray(body.arm), solver.arm_effort, solver.hand_effort)
+    diagonal = effort + solver.smoothness + w_posture
+    P = rows.T @ rows + jnp.diag(diagonal)
+    linear = -(rows.T @ wanted) - solver.smoothness * memory.command - w_posture * v_posture
+    A, b, near = half_spaces(body, motion, around, config)
+    lower, upper = velocity_box(body, q, config)
+    return QP(P, linear, A, b, lower, upper), near
+
+
+def point_jacobians(
+    body: ReachBody, motion: Motion, frames: np.ndarray, points: Float[Array, "n 3"]
+) -> Float[Array, "n 3 joints"]:
+    """Velocities of world points fixed to frames, per joint velocity."""
+    angular, linear = motion.screws[:, :3], motion.screws[:, 3:]
+    swept = jnp.cross(angular[None], points[:, None]) + linear
+    moves = jnp.asarray(body.moves[frames], points.dtype)
+    return jnp.swapaxes(swept * moves[:, :, None], 1, 2)
+
+
+def angular_jacobians(
+    body: ReachBody, motion: Motion, frames: np.ndarray
+) -> Float[Array, "n 3 joints"]:
+    """Angular velocities of frames, per joint velocity."""
+    moves = jnp.asarray(body.moves[frames], motion.screws.dtype)
+    return moves[:, None, :] * motion.screws[:, :3].T

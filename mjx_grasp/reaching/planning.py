@@ -1,0 +1,287 @@
+"""Which candidate the arm and hand can reach, and with what posture: IK from a library of starts.
+
+It tells the upper bound of every rate (the share of poses for which there is a solution at all),
+and guides selection and reaching in the presets that look ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import dot, norm, unit
+from mjx_grasp.handoff.config import SamplingConfig
+from mjx_grasp.handoff.ik import robot_arrays
+from mjx_grasp.handoff.starts import build_library
+from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
+from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.controller import Plans
+from mjx_grasp.reaching.fields import midpoint, pad_goals
+from mjx_grasp.reaching.guide import Guide
+from mjx_grasp.reaching.ik import IkConfig, IkSolution, solve_ik
+from mjx_grasp.reaching.surroundings import Surroundings
+from mjx_grasp.selection.candidates import Candidates
+from mjx_grasp.selection.config import SelectionConfig
+
+# A difference of pad directions counts as much as tips this far off, [m].
+_DIRECTION_SCALE = 0.03
+# Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
+_LACKING, _FAILED = 1e3, 1e4
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """How hard a solution is looked for."""
+
+    library: int = 60_000
+    """configurations from which the starts are taken [-]"""
+    near: int = 1024
+    """of them, those around the object, compared with every candidate [-]"""
+    starts: int = 32
+    """of them, the most promising, that are solved [-]"""
+    kept: int = 3
+    """plans that differ, for re-selection [-]"""
+    differs: float = 0.05
+    """palm poses this far apart differ, a turn counting with the lever below [m]"""
+    lever: float = 0.1
+    """of the palm's turn against its displacement [m/rad]"""
+    time_scale: float = 0.05
+    """a start this much farther in time counts as much as tips this far off [m/s]"""
+    tolerance: float = 0.005
+    """largest tip error of a solution to be reached for [m]"""
+    seed: int = 0
+    """of the library"""
+    ik: IkConfig = field(default_factory=IkConfig)
+
+
+class Library(NamedTuple):
+    """Configurations with the hand about to grasp something over the table.
+
+    Attributes:
+        q: ``[l, joints]`` in [rad].
+        tips: ``[l, 3, 3]`` tip frames in world, [m].
+        pads: ``[l, 3, 3]`` pad normals.
+    """
+
+    q: Float[Array, "l joints"]
+    tips: Float[Array, "l 3 3"]
+    pads: Float[Array, "l 3 3"]
+
+
+class Search(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        plans: The best first; of those that are not ``guide.known`` no attempt succeeded.
+        cost: ``[p]`` time to get there and what is lacking, [s]; the less the better.
+        least_error: Over all clear solutions, the least of their largest tip errors, [m]; +inf if
+            all penetrate something.
+        least_penetration: Over all solutions within 20 mm, the least penetration, [m].
+        at_limit: Whether the best attempt has a joint at its limit.
+    """
+
+    plans: Plans
+    cost: Float[Array, " p"]
+    least_error: Float[Array, ""]
+    least_penetration: Float[Array, ""]
+    at_limit: Bool[Array, ""]
+
+
+def start_library(body: ReachBody, config: PlanConfig) -> Library:
+    """Draws the library of a robot; takes some seconds.
+
+    Raises:
+        InputError: The robot does not reach the object area.
+    """
+    arrays = robot_arrays(body.robot)
+    q = build_library(arrays, config.library, SamplingConfig(), config.seed).q
+
+    @jax.jit
+    @jax.vmap
+    def tips_and_pads(q):
+        motion = body.kinematics.motion(q)
+        return motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+
+    tips, pads = tips_and_pads(q)
+    return Library(jnp.asarray(q), tips, pads)
+
+
+class _Options(NamedTuple):
+    """All ways to assign the tips: candidates × reach axes × order of the wraps."""
+
+    candidate: Int[np.ndarray, " v"]
+    axis: Int[np.ndarray, " v"]
+    spread: Float[Array, "v 3"]  # object frame
+    goals: Float[Array, "v 3 3"]  # world
+    pads: Float[Array, "v 3 3"]
+    admissible: Bool[Array, " v"]
+
+
+def _options(candidates, around, selection, config) -> _Options:
+    count = candidates.score.shape[0]
+    index = np.repeat(np.arange(count), 6)
+    axis = np.tile(np.repeat(np.arange(3), 2), count)
+    sign = np.tile(np.array([1.0, -1.0], np.float32), 3 * count)
+    across = jnp.cross(jnp.eye(3)[axis], candidates.axis[index])
+    usable = norm(across) >= selection.min_axis_angle
+    spread = sign[:, None] * unit(across)
+    centre = candidates.centre[index]
+    offset = selection.wrap_spread * spread
+    contact = jnp.stack([candidates.thumb[index], centre + offset, centre - offset], axis=1)
+    wrap = candidates.wrap_normal[index]
+    normal = jnp.stack([candidates.normal[index], wrap, wrap], axis=1)
+    targets = config.targets
+    standoff = np.array([targets.thumb_standoff, *[targets.wrap_standoff] * 2], np.float32)
+    local = contact + standoff[:, None] * normal
+    up, height = around.R_wo[2], around.p_wo[2]
+    lowest = jnp.min(dot(contact, up), axis=1)
+    lowest = jnp.minimum(lowest, jnp.min(dot(candidates.wrap[index], up), axis=1))
+    admissible = (
+        usable
+        & candidates.valid[index]
+        & (candidates.score[index] >= selection.min_score)
+        & (lowest + height >= selection.min_height)
+        & (jnp.min(dot(local, up), axis=1) + height >= selection.min_goal_height)
+    )
+    goals = around.p_wo + local @ around.R_wo.T
+    return _Options(index, axis, jnp.asarray(spread), goals, jax.vmap(pad_goals)(goals), admissible)
+
+
+def plan_reach(
+    body: ReachBody,
+    config: ReachConfig,
+    selection: SelectionConfig,
+    plan: PlanConfig,
+    library: Library,
+    candidates: Candidates,
+    around: Surroundings,
+    q: Float[Array, " joints"],
+    key: Array,
+) -> Search:
+    """Looks for a candidate and a posture to reach it, near the present configuration.
+
+    Args:
+        body: The robot.
+        config: Settings of reaching.
+        selection: Rejections of candidates.
+        plan: How hard to look.
+        library: From :func:`start_library`.
+        candidates: Of the object.
+        around: Object and obstacles.
+        q: Present configuration, [rad].
+        key: Chooses among the library's entries around the object.
+    """
+    # No accelerator shall round products of small matrices to TF32.
+    with jax.default_matmul_precision("highest"):
+        return _plan(body, config, selection, plan, library, candidates, around, q, key)
+
+
+def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:
+    options = _options(candidates, around, selection, config)
+    middle = 0.5 * library.tips[:, 0] + 0.25 * (library.tips[:, 1] + library.tips[:, 2])
+    distance = norm(middle - around.p_wo)
+    # A little chance, so that other keys find other starts.
+    distance = distance + 0.02 * jax.random.uniform(key, distance.shape)
+    _, near = jax.lax.top_k(-distance, plan.near)
+
+    def features(tips, pads):
+        pads = _DIRECTION_SCALE * pads
+        return jnp.concatenate([tips.reshape(-1, 9), pads.reshape(-1, 9)], axis=1)
+
+    origin = around.p_wo
+    have = features(library.tips[near] - origin, library.pads[near])
+    want = features(options.goals - origin, options.pads)
+    squares = jnp.sum(want**2, axis=1)
+    gap = jnp.where(options.admissible, squares, jnp.inf) - 2.0 * have @ want.T
+    option = jnp.argmin(gap, axis=1)
+    gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
+    time = jnp.max(jnp.abs(library.q[near] - q) / body.velocity_limit, axis=1)
+    gap = gap + (plan.time_scale * time) ** 2
+    _, best = jax.lax.top_k(-gap, plan.starts)
+    option, start = option[best], library.q[near[best]]
+
+    def attempt(option, start):
+        goals, pads, home = options.goals[option], options.pads[option], jnp.asarray(body.home)
+        return solve_ik(body, config, plan.ik, goals, pads, around, start, home)
+
+    found: IkSolution = jax.vmap(attempt)(option, start)
+    cost = _costs(body, plan, options.admissible[option], found, q)
+    kept = _different(body, plan, found.q, cost)
+
+    def planned(k):
+        known = cost[k] < _FAILED
+        return _guide(body, config, plan, options, option[k], found.q[k], around, known)
+
+    pick = option[kept]
+    plans = Plans(
+        candidate=jnp.asarray(options.candidate, jnp.int32)[pick],
+        reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
+        spread=options.spread[pick],
+        guide=jax.vmap(planned)(kept),
+    )
+    error, allowed = jnp.max(found.error, axis=1), options.admissible[option]
+    clear, close = allowed & (found.penetration <= 0), allowed & (error <= 0.02)
+    return Search(
+        plans=plans,
+        cost=cost[kept],
+        least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
+        least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
+        at_limit=found.at_limit[kept[0]],
+    )
+
+
+def _guide(body, config, plan, options, option, q, around, known) -> Guide:
+    """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
+    goals, pads = options.goals[option], options.pads[option]
+    motion = body.kinematics.motion(q)
+    middle = midpoint(goals)
+    axis = 0.5 * (goals[1] + goals[2]) - goals[0]
+    normal = unit(jnp.cross(axis, goals[1] - goals[2]))
+    # The palm's frame is at its root; the hand's extent is between it and the tips.
+    outwards = motion.pos[PALM] - middle
+    retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
+    shifted = goals + config.guide.length * retreat
+    retreated = solve_ik(body, config, plan.ik, shifted, pads, around, q, q)
+    outside = body.kinematics.motion(retreated.q)
+    R = around.R_wo
+    pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
+    return Guide(
+        known=known,
+        q=jnp.stack([q, retreated.q]),
+        palm_pos=(pos - around.p_wo) @ R,
+        palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
+        tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
+    )
+
+
+def _costs(body, plan, admissible, found: IkSolution, q) -> Float[Array, " n"]:
+    """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
+    time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
+    error = jnp.max(found.error, axis=1)
+    lacking = jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
+    return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
+
+
+def _different(body, plan, q, cost) -> Int[Array, " p"]:
+    """The cheapest attempts of which no two put the palm in the same place."""
+
+    def palm(q):
+        motion = body.kinematics.motion(q)
+        return motion.pos[PALM], motion.mat[PALM]
+
+    pos, mat = jax.vmap(palm)(q)
+    kept = []
+    for _ in range(plan.kept):
+        best = jnp.argmin(cost)
+        kept.append(best)
+        turn = norm(so3.log(jnp.einsum("nij,kj->nik", mat, mat[best])))
+        near = norm(pos - pos[best]) + plan.lever * turn < plan.differs
+        # Those in the same place come after all others.
+        cost = jnp.where(near, cost + _FAILED, cost)
+    return jnp.stack(kept)

@@ -1,0 +1,75 @@
+"""The randomised cylinders of the reach sweep (method §3): the distribution, fixed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mjx_grasp.errors import InputError
+
+
+@dataclass(frozen=True)
+class PoseDistribution:
+    """What is drawn uniformly, and from where."""
+
+    radius: tuple[float, float] = (0.020, 0.045)
+    """of the cylinder [m]"""
+    height: tuple[float, float] = (0.080, 0.200)
+    """of the cylinder, end to end [m]"""
+    x: tuple[float, float] = (0.40, 0.65)
+    """of its centre [m]"""
+    y: tuple[float, float] = (-0.25, 0.25)
+    """of its centre [m]"""
+
+
+class CylinderPoses(NamedTuple):
+    """Cylinders at rest on the table; arrays of one batch.
+
+    Attributes:
+        radius: ``[n]`` in [m].
+        half_length: ``[n]`` half the height, [m].
+        p_wo: ``[n, 3]`` centres in world, [m].
+        R_wo: ``[n, 3, 3]`` rotations; the axis is z.
+        lying: ``[n]`` on its side, else upright.
+    """
+
+    radius: Float[np.ndarray, " n"]
+    half_length: Float[np.ndarray, " n"]
+    p_wo: Float[np.ndarray, "n 3"]
+    R_wo: Float[np.ndarray, "n 3 3"]
+    lying: Bool[np.ndarray, " n"]
+
+
+def draw_poses(
+    count: int, seed: int, distribution: PoseDistribution | None = None
+) -> CylinderPoses:
+    """Random cylinders: sizes, xy and yaw uniform; every other one upright, the rest lying.
+
+    Args:
+        count: How many.
+        seed: Of the draw; the first poses of a longer draw are those of a shorter one.
+        distribution: Ranges.
+
+    Raises:
+        InputError: A count below one.
+    """
+    if count < 1:
+        raise InputError("poses", count, "a whole number from 1")
+    d = distribution or PoseDistribution()
+    ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
+    unit = np.random.default_rng(seed).random((count, len(ranges)))
+    radius, height, x, y, yaw = (ranges[:, 0] + unit * np.ptp(ranges, axis=1)).T
+    lying = np.arange(count) % 2 == 1
+    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros(count), np.ones(count)
+    upright_R = np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+    # The axis z horizontal, along the yaw.
+    lying_R = np.array([[zero, s, c], [zero, -c, s], [one, zero, zero]])
+    R_wo = np.moveaxis(np.where(lying, lying_R, upright_R), -1, 0)
+    p_wo = np.stack([x, y, np.where(lying, radius, 0.5 * height)], axis=-1)
+    f32 = np.float32
+    return CylinderPoses(
+        radius.astype(f32), (0.5 * height).astype(f32), p_wo.astype(f32), R_wo.astype(f32), lying
+    )

@@ -1,0 +1,90 @@
+"""The published controller, and step by step what goes beyond it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.planning import PlanConfig
+from mjx_grasp.selection.config import SelectionConfig
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Settings of everything that reaches."""
+
+    reach: ReachConfig
+    selection: SelectionConfig
+    plan: PlanConfig | None
+    """None: the selection does not look ahead."""
+
+
+def _additions() -> dict[str, Preset]:
+    """The presets in the order in which each adds one thing to the one before."""
+    paper = Preset(ReachConfig(), SelectionConfig(), None)
+    steps = {"paper": paper}
+
+    def add(name: str, **changes) -> None:
+        steps[name] = replace(steps[list(steps)[-1]], **changes)
+
+    def reach(**parts) -> ReachConfig:
+        last = steps[list(steps)[-1]].reach
+        new = {name: replace(getattr(last, name), **fields) for name, fields in parts.items()}
+        return replace(last, **new)
+
+    # A standoff target in the table's way cannot be reached, whatever the controller does.
+    add("standoffs", selection=replace(paper.selection, min_goal_height=0.012))
+    add("escape", reach=reach(solver={"partial_escape": True}))
+    add("reachability", plan=PlanConfig(), reach=reach(guide={"enabled": False}))
+    add(
+        "guide",
+        reach=reach(
+            guide={"enabled": True},
+            fields={"via_points": 0, "slow_down": 0.06, "posture_gain": 8.0},
+        ),
+    )
+    add(
+        "default",
+        reach=reach(
+            controller={"reselections": 6, "stall_time": 0.5, "handoff_tips": 0.008},
+            limits={"follow_object": True},
+        ),
+    )
+    return steps
+
+
+PRESETS = _additions()
+"""By name: ``paper``; ``standoffs`` targets must be high enough; ``escape`` from penetration even
+where not all clearances can be restored at once; ``reachability``: the selection takes a candidate
+for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
+via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff
+when every tip is near."""
+
+
+def preset(name: str) -> Preset:
+    """Settings by name.
+
+    Raises:
+        InputError: There is no preset of this name.
+    """
+    if name not in PRESETS:
+        raise InputError("preset", name, f"one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def for_sweep(settings: Preset) -> Preset:
+    """No handoff and no cap: a reach ends when the fine timer is at 7 s, or after 15 s (§3).
+
+    There is no re-selection at the time-out, which would restart the timer; what looks ahead may
+    change its plan earlier, while the timer runs on.
+    """
+    controller = replace(
+        settings.reach.controller,
+        handoff_midpoint=-1.0,
+        handoff_largest=-1.0,
+        fine_timeout=7.0,
+        timeout=15.0,
+        reselect_late=False,
+    )
+    return replace(settings, reach=replace(settings.reach, controller=controller))

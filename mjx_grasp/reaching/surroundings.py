@@ -1,0 +1,226 @@
+"""What the robot must stay clear of, and how near it is (method §3, 'half-spaces')."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from mjx_grasp.geometry.segments import closest_between_segments
+from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
+from mjx_grasp.geometry.vectors import dot, norm, unit
+from mjx_grasp.reaching.body import ReachBody, Solids
+from mjx_grasp.robot.kinematics import Motion
+
+# Along a segment of nearly even distance a fitted parabola says nothing.
+_FLAT = 1e-6
+
+
+class Surroundings(NamedTuple):
+    """The world at one tick.
+
+    Attributes:
+        shape: The object, in its own frame.
+        p_wo: ``[3]`` object origin in world, [m].
+        R_wo: ``[3, 3]`` object rotation.
+        v_wo: ``[6]`` object twist: velocity of its origin [m/s], angular velocity [rad/s]; world.
+        obstacles: ``[k, 4]`` spheres to avoid: centre in world and radius, [m]; none is ``k = 0``.
+        obstacle_velocity: ``[k, 3]`` of their centres, [m/s].
+    """
+
+    shape: Shape
+    p_wo: Float[Array, " 3"]
+    R_wo: Float[Array, "3 3"]
+    v_wo: Float[Array, " 6"]
+    obstacles: Float[Array, "k 4"]
+    obstacle_velocity: Float[Array, "k 3"]
+
+    @classmethod
+    def still(
+        cls, shape: Shape, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"]
+    ) -> Surroundings:
+        """An object at rest and nothing else."""
+        none = jnp.zeros((0, 4)), jnp.zeros((0, 3))
+        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none)
+
+
+class Proximity(NamedTuple):
+    """Distances of groups of the robot's shapes and how the joints change them.
+
+    Attributes:
+        distance: ``[n]`` of surfaces, [m]; negative where they overlap.
+        slope: ``[n, joints]`` change of the distance per joint velocity, [m/rad].
+        drift: ``[n]`` its change by the other's own motion, [m/s].
+    """
+
+    distance: Float[Array, " n"]
+    slope: Float[Array, "n joints"]
+    drift: Float[Array, " n"]
+
+
+def placed(solids: Solids, motion: Motion) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Both ends of the segments in world, [m]."""
+    mat, pos = motion.mat[solids.frame], motion.pos[solids.frame]
+    start = pos + _turned(mat, jnp.asarray(solids.start))
+    return start, pos + _turned(mat, jnp.asarray(solids.end))
+
+
+def _turned(mat, vec):
+    return mat[..., 0] * vec[..., :1] + mat[..., 1] * vec[..., 1:2] + mat[..., 2] * vec[..., 2:]
+
+
+def to_object(around: Surroundings, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """World points in the object frame."""
+    offset, R = points - around.p_wo, around.R_wo
+    return offset[..., :1] * R[0] + offset[..., 1:2] * R[1] + offset[..., 2:] * R[2]
+
+
+def slopes(
+    motion: Motion,
+    moves: Float[Array, "n joints"],
+    points: Float[Array, "n 3"],
+    normals: Float[Array, "n 3"],
+) -> Float[Array, "n joints"]:
+    """Velocity along ``normals`` of points fixed to a link, per joint velocity [m/rad].
+
+    Args:
+        motion: The robot.
+        moves: 1 where a joint moves the point's link, else 0.
+        points: World, [m].
+        normals: Unit directions, world.
+    """
+    wrench = jnp.concatenate([jnp.cross(points, normals), normals], axis=-1)
+    return moves * (wrench @ motion.screws.T)
+
+
+def obstacle_distance(obstacles: Float[Array, "k 4"], points: Float[Array, "*n 3"]) -> Array:
+    """Distance in [m] of world points to the nearest obstacle; none is infinitely far."""
+    distance = jnp.full(points.shape[:-1], jnp.inf, points.dtype)
+    for k in range(obstacles.shape[0]):
+        to_surface = norm(points - obstacles[k, :3]) - obstacles[k, 3]
+        distance = jnp.minimum(distance, to_surface)
+    return distance
+
+
+def _nearest_on_segments(shape: Shape, start, end):
+    """Parameters in [0, 1] of the points of segments nearest to a shape, and their distances.
+
+    Of both ends, the middle and the lowest point of the parabola through them the nearest; exact
+    enough where distances are convex, and never wrong by more than the samples' gaps.
+    """
+    middle = 0.5 * (start + end)
+    low, high, between = (signed_distance(shape, p) for p in (start, end, middle))
+    bend = low - 2.0 * between + high
+    curved = bend > _FLAT
+    t = jnp.clip(0.5 + 0.25 * (low - high) / jnp.where(curved, bend, 1.0), 0.0, 1.0)
+    best = signed_distance(shape, start + t[:, None] * (end - start))
+    for share, distance in ((0.0, low), (1.0, high), (0.5, between)):
+        nearer = distance < best
+        t, best = jnp.where(nearer, share, t), jnp.where(nearer, distance, best)
+    return t, best
+
+
+def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int[Array, " g"]:
+    """Of each group the member that is nearest."""
+    choice = jnp.argmin(distance[groups], axis=-1)
+    return jnp.take_along_axis(jnp.asarray(groups), choice[:, None], axis=-1)[:, 0]
+
+
+def object_proximity(
+    body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
+) -> Proximity:
+    """Distances of every group of ``solids`` to the object."""
+    start, end = placed(solids, motion)
+    local_start = to_object(around, start)
+    if np.array_equal(solids.start, solids.end):
+        local, at = local_start, start
+        distance = signed_distance(around.shape, local)
+    else:
+        local_end = to_object(around, end)
+        t, distance = _nearest_on_segments(around.shape, local_start, local_end)
+        t = t[:, None]
+        local, at = local_start + t * (local_end - local_start), start + t * (end - start)
+    pick = _picked(solids.groups, distance - solids.radius)
+    centre = at[pick]
+    exact, normal = distance_and_normal(around.shape, local[pick])
+    normal = _turned(around.R_wo, normal)
+    radius = jnp.asarray(solids.radius)[pick]
+    moves = jnp.asarray(body.moves[solids.frame], centre.dtype)[pick]
+    surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
+    return Proximity(exact - radius, slopes(motion, moves, centre, normal), -dot(normal, surface))
+
+
+def obstacle_proximity(
+    body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
+) -> Proximity:
+    """Distances of every group of ``solids`` to the nearest obstacle."""
+    start, end = placed(solids, motion)
+    along = end - start
+    squared = jnp.maximum(dot(along, along), 1e-12)
+    best = jnp.full(len(solids.frame), jnp.inf, start.dtype)
+    at, normal, velocity = start, jnp.zeros_like(start), jnp.zeros_like(start)
+    for k in range(around.obstacles.shape[0]):
+        centre, size = around.obstacles[k, :3], around.obstacles[k, 3]
+        t = jnp.clip(dot(centre - start, along) / squared, 0.0, 1.0)[:, None]
+        point = start + t * along
+        distance = norm(point - centre) - size
+        nearer = distance < best
+        best = jnp.where(nearer, distance, best)
+        at = jnp.where(nearer[:, None], point, at)
+        normal = jnp.where(nearer[:, None], unit(point - centre), normal)
+        velocity = jnp.where(nearer[:, None], around.obstacle_velocity[k], velocity)
+    distance = best - solids.radius
+    pick = _picked(solids.groups, distance)
+    moves = jnp.asarray(body.moves[solids.frame], at.dtype)[pick]
+    slope = slopes(motion, moves, at[pick], normal[pick])
+    return Proximity(distance[pick], slope, -dot(normal, velocity)[pick])
+
+
+def table_proximity(
+    body: ReachBody, solids: Solids, groups: Int[np.ndarray, "g k"], motion: Motion
+) -> Proximity:
+    """Heights of the lowest points of groups of ``solids`` above the table top z = 0."""
+    start, end = placed(solids, motion)
+    lower = jnp.where((start[:, 2] < end[:, 2])[:, None], start, end)
+    height = lower[:, 2] - solids.radius
+    pick = _picked(groups, height)
+    up = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0], start.dtype), (len(groups), 3))
+    moves = jnp.asarray(body.moves[solids.frame], start.dtype)[pick]
+    slope = slopes(motion, moves, lower[pick], up)
+    return Proximity(height[pick], slope, jnp.zeros(len(groups), start.dtype))
+
+
+def finger_proximity(body: ReachBody, motion: Motion) -> Proximity:
+    """Distances of every two fingers."""
+    return _between(body, body.hand_capsules, body.pairs, motion)
+
+
+def arm_proximity(body: ReachBody, motion: Motion) -> Proximity:
+    """Distances of the arm's outer links to its base and inner links."""
+    return _between(body, body.arm_capsules, body.arm_pairs, motion)
+
+
+def _between(
+    body: ReachBody, solids: Solids, pairs: Int[np.ndarray, "rows k 2"], motion: Motion
+) -> Proximity:
+    """Of each row of pairs of ``solids`` the nearest."""
+    start, end = placed(solids, motion)
+    a, b = jnp.asarray(pairs[..., 0]), jnp.asarray(pairs[..., 1])
+    radius = jnp.asarray(solids.radius)
+    on_a, on_b = closest_between_segments(start[a], end[a], start[b], end[b])
+    gap = norm(on_a - on_b) - radius[a] - radius[b]
+    best = jnp.argmin(gap, axis=-1)
+    rows = jnp.arange(len(a))
+    a, b = a[rows, best], b[rows, best]
+    on_a, on_b = on_a[rows, best], on_b[rows, best]
+    normal = unit(on_a - on_b)
+    moves = jnp.asarray(body.moves[solids.frame], start.dtype)
+    slope = slopes(motion, moves[a], on_a, normal) - slopes(motion, moves[b], on_b, normal)
+    return Proximity(gap[rows, best], slope, jnp.zeros(len(rows), start.dtype))
+
+
+def stacked(parts: list[Proximity]) -> Proximity:
+    """Several sets of distances as one."""
+    return Proximity(*(jnp.concatenate(leaves) for leaves in zip(*parts, strict=True)))

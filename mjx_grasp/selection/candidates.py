@@ -1,0 +1,131 @@
+"""Grasp candidates as the selection sees them: from a heatmap, or of a cylinder in closed form."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.scores import anchor_score, separation_score, width_score
+from mjx_grasp.heatmap.steering import Heatmap
+
+
+class Candidates(NamedTuple):
+    """Candidates of one object, in the object frame; objects are stacked in front.
+
+    Attributes:
+        thumb: ``[c, 3]`` thumb contacts p_t, [m].
+        normal: ``[c, 3]`` outward unit normals n_t there.
+        wrap: ``[c, 2, 3]`` wrap contacts c_1, c_2, [m].
+        wrap_normal: ``[c, 3]`` unit(n_1 + n_2).
+        axis: ``[c, 3]`` unit grasp axes g.
+        width: ``[c]`` w, [m].
+        score: ``[c]`` the steered score S.
+        valid: ``[c]`` whether there is a candidate at all.
+    """
+
+    thumb: Float[Array, "c 3"]
+    normal: Float[Array, "c 3"]
+    wrap: Float[Array, "c 2 3"]
+    wrap_normal: Float[Array, "c 3"]
+    axis: Float[Array, "c 3"]
+    width: Float[Array, " c"]
+    score: Float[Array, " c"]
+    valid: Bool[Array, " c"]
+
+    @property
+    def centre(self) -> Float[Array, "c 3"]:
+        """Centroids of the wrap contacts, [m]."""
+        return 0.5 * (self.wrap[..., 0, :] + self.wrap[..., 1, :])
+
+
+def from_heatmap(
+    heatmap: Heatmap, score: Float[Array, " v"] | None = None, count: int | None = None
+) -> Candidates:
+    """The candidates of a heatmap, all or the best ``count`` of them by score.
+
+    With fewer than ``count`` vertices the rest is filled with invalid ones, so that objects can
+    be stacked.
+
+    Args:
+        heatmap: Of the object.
+        score: Steered scores; the heatmap's own if None.
+        count: How many.
+
+    Raises:
+        InputError: A count below one.
+    """
+    scores = np.asarray(heatmap.score if score is None else score)
+    scores = np.where(np.asarray(heatmap.valid), scores, 0.0)
+    if count is not None and count < 1:
+        raise InputError("count", count, "a whole number from 1")
+    order = np.argsort(-scores, kind="stable")[:count]
+    missing = 0 if count is None else count - len(order)
+
+    def taken(leaf, fill=0):
+        rows = np.asarray(leaf)[order]
+        filler = np.full((missing, *rows.shape[1:]), fill, rows.dtype)
+        return jnp.asarray(np.concatenate([rows, filler]))
+
+    normals = np.asarray(heatmap.wrap_normals)
+    return Candidates(
+        thumb=taken(heatmap.thumb),
+        normal=taken(heatmap.normals),
+        wrap=taken(heatmap.wrap),
+        wrap_normal=taken(unit(jnp.asarray(normals[:, 0] + normals[:, 1]))),
+        axis=taken(heatmap.axis),
+        width=taken(heatmap.width),
+        score=taken(scores.astype(np.float32)),
+        valid=taken(heatmap.valid, False),
+    )
+
+
+def cylinder_candidates(
+    radius: Float[Array, ""],
+    half_length: Float[Array, ""],
+    span: tuple[float, float],
+    around: int = 24,
+    along: int = 15,
+    config: HeatmapConfig | None = None,
+) -> Candidates:
+    """The heatmap of a cylinder about z in closed form, on a grid of its side.
+
+    A ray from the side meets the opposite side, the long axis runs lengthwise, and all normals are
+    along the grasp axis: only the terms of width, centre of mass and separation differ from 1.
+
+    Args:
+        radius: In [m].
+        half_length: In [m].
+        span: Narrowest and widest grasp of the hand, [m].
+        around: Grid points around the axis.
+        along: Grid points along it, between the ends less the widest wrap offset.
+        config: Settings of the heatmap.
+    """
+    config = config or HeatmapConfig()
+    # The smallest offset that separates the wraps fully: it ties with the larger ones.
+    offset = min(
+        (h for h in config.wrap_offsets if 2 * h >= config.full_separation),
+        default=config.wrap_offsets[-1],
+    )
+    room = jnp.maximum(half_length - offset, 0.0)
+    angle = jnp.arange(around) * (2 * jnp.pi / around)
+    height = jnp.linspace(-1.0, 1.0, along)[:, None] * room
+    out = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(around)], axis=-1)
+    normal = jnp.broadcast_to(out, (along, around, 3)).reshape(-1, 3)
+    z = jnp.broadcast_to(height, (along, around)).reshape(-1)
+    up = jnp.asarray([0.0, 0.0, 1.0])
+    thumb = radius * normal + z[:, None] * up
+    opposing = -radius * normal + z[:, None] * up
+    wrap = jnp.stack([opposing + offset * up, opposing - offset * up], axis=1)
+    width = jnp.full(len(z), 2.0 * radius)
+    score = (
+        width_score(width, jnp.asarray(span), config.width_sigma)
+        * anchor_score(jnp.zeros(3), thumb, -normal, config.com_sigma)
+        * separation_score(wrap[:, 0], wrap[:, 1], config.full_separation)
+    )
+    return Candidates(thumb, normal, wrap, -normal, -normal, width, score, jnp.ones(len(z), bool))

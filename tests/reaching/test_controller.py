@@ -1,0 +1,153 @@
+"""The state machine, purity, and independence of names."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_grasp.geometry.distance_field import distance_field
+from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.reaching.body import reach_body
+from mjx_grasp.reaching.controller import Outcome, Reacher
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.selection import SelectionConfig, cylinder_candidates, from_heatmap
+
+SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
+CENTRE, UPRIGHT = jnp.asarray([0.5, -0.15, 0.06]), jnp.eye(3)
+NONE = jnp.zeros((0, 4))
+
+
+def _candidates(body, shape=SHAPE):
+    return cylinder_candidates(shape.radius, shape.half_length, body.robot.hand.span)
+
+
+def _with(reacher, **fields):
+    controller = replace(reacher.config.controller, **fields)
+    return replace(reacher, config=replace(reacher.config, controller=controller))
+
+
+def _reach(reacher, centre, ticks, shape=SHAPE, candidates=None):
+    candidates = _candidates(reacher.body) if candidates is None else candidates
+    q = jnp.asarray(reacher.body.home)
+    state = reacher.start(q, candidates, centre, UPRIGHT)
+
+    def tick(carry, _):
+        state, q = carry
+        state, done = reacher.tick(state, q, shape, candidates, centre, UPRIGHT, NONE)
+        q = q + reacher.config.controller.dt * done.velocity
+        report = done.report
+        kept = state.outcome, state.timer, state.tries, done.velocity, done.targets.candidate
+        return (state, q), (*kept, report.error, report.midpoint, report.object_distance)
+
+    run = jax.jit(lambda c: jax.lax.scan(tick, c, length=ticks)[1])
+    names = ("outcome", "timer", "tries", "velocity", "index", "error", "midpoint", "object")
+    return dict(zip(names, map(np.asarray, run((state, q))), strict=True))
+
+
+def test_an_easy_reach_hands_off_near_its_targets_and_stops(reacher):
+    run = _reach(reacher, CENTRE, 500)
+    assert run["outcome"][-1] == Outcome.HANDOFF
+    at = int(np.argmax(run["outcome"] == Outcome.HANDOFF))
+    config = reacher.config.controller
+    near = run["midpoint"][at] < config.handoff_midpoint
+    late = run["timer"][at] >= config.fine_timeout - 1e-4
+    assert near or (late and run["error"][at].max() <= config.handoff_largest)
+    assert np.all(run["velocity"][at + 1 :] == 0.0)
+    assert run["object"].min() > 0.008
+    # The timer runs exactly while the largest error is below 140 mm.
+    runs = run["error"][: at + 1].max(axis=1) < config.fine_distance
+    expected, now = [], 0.0
+    for fine in runs:
+        now = now + config.dt if fine else 0.0
+        expected.append(now)
+    np.testing.assert_allclose(run["timer"][: at + 1], expected, atol=1e-3)
+
+
+def test_out_of_reach_fails_at_the_time_out(reacher):
+    run = _reach(_with(reacher, timeout=0.5), jnp.asarray([2.0, 0.0, 0.06]), 60)
+    assert np.all(run["outcome"][:48] == Outcome.RUNNING)
+    assert run["outcome"][-1] == Outcome.FAILED
+
+
+def test_no_candidate_is_an_outcome_of_its_own(reacher):
+    run = _reach(_with(reacher, timeout=0.3), jnp.asarray([0.5, 0.0, -1.0]), 40)
+    assert run["outcome"][-1] == Outcome.NO_CANDIDATE
+    assert np.all(run["velocity"] == 0.0)
+
+
+def test_one_re_selection_then_failure(reacher):
+    hasty = _with(reacher, fine_distance=10.0, fine_timeout=0.1, handoff_largest=0.0)
+    run = _reach(hasty, CENTRE, 40)
+    changed = int(np.argmax(run["tries"] == 1))
+    assert 8 <= changed <= 11
+    assert run["index"][changed + 1] != run["index"][changed - 1]
+    assert run["outcome"][-1] == Outcome.FAILED and run["tries"][-1] == 1
+    none = _reach(_with(hasty, reselections=0), CENTRE, 40)
+    assert none["outcome"][15] == Outcome.FAILED and none["tries"][-1] == 0
+
+
+def _one_tick(reacher, q, centre):
+    candidates = _candidates(reacher.body)
+    state = reacher.start(q, candidates, centre, UPRIGHT)
+    return reacher.tick(state, q, SHAPE, candidates, centre, UPRIGHT, NONE)[1].velocity
+
+
+def test_batched_is_looped(reacher):
+    rng = np.random.default_rng(0)
+    home = reacher.body.home
+    q = jnp.asarray(home + rng.normal(scale=0.05, size=(4, len(home))), jnp.float32)
+    centre = CENTRE + jnp.asarray(rng.normal(scale=0.05, size=(4, 3)) * [1, 1, 0], jnp.float32)
+    together = jax.jit(jax.vmap(lambda a, b: _one_tick(reacher, a, b)))(q, centre)
+    one = jax.jit(lambda a, b: _one_tick(reacher, a, b))
+    for k in range(4):
+        jitted = one(q[k], centre[k])
+        np.testing.assert_allclose(jitted, together[k], atol=2e-3)
+
+
+@pytest.mark.long
+def test_jit_is_eager(reacher):
+    q = jnp.asarray(reacher.body.home)
+    jitted = jax.jit(lambda a, b: _one_tick(reacher, a, b))(q, CENTRE)
+    np.testing.assert_allclose(_one_tick(reacher, q, CENTRE), jitted, atol=2e-3)
+
+
+def test_nothing_knows_names(reacher, tmp_path):
+    """The same robot under other names, in another place, gets the same commands."""
+    source = reacher.body.robot.mjcf
+    for suffix in (".xml", ".yaml"):
+        text = source.with_suffix(suffix).read_text()
+        text = text.replace("finger_r_", "digit_").replace("thumb", "first")
+        text = text.replace("role: first", "role: thumb").replace("hx5_d20_right_base", "palm")
+        (tmp_path / f"other{suffix}").write_text(text.replace("rizon4_hx5d20", "other"))
+    other = replace(reacher, body=reach_body(load_robot(tmp_path / "other.yaml")))
+    q = jnp.asarray(reacher.body.home)
+    np.testing.assert_allclose(
+        _one_tick(other, q, CENTRE), _one_tick(reacher, q, CENTRE), atol=1e-6
+    )
+
+
+@pytest.mark.long
+def test_a_mesh_is_reached_for_by_its_distance_grid(body):
+    mesh = stand_in("tomato_soup_can")
+    heatmap = compute_heatmap(
+        mesh.vertices, mesh.faces, None, body.robot.hand.span, body.robot.hand.scoring_friction
+    )
+    field = jax.tree.map(jnp.asarray, distance_field(mesh.vertices, mesh.faces, 0.003))
+    reacher = Reacher(body, preset_without_timeouts(), SelectionConfig())
+    centre = jnp.asarray([0.5, -0.15, -float(mesh.bounds[0, 2])])
+    run = _reach(reacher, centre, 500, field, from_heatmap(heatmap, count=256))
+    assert run["error"][-1].max() < 0.05
+    assert run["object"].min() > 0.007
+
+
+def preset_without_timeouts():
+    """The published controller that goes on for ever."""
+    from mjx_grasp.reaching.config import ReachConfig
+
+    config = ReachConfig()
+    never = replace(config.controller, handoff_midpoint=-1.0, fine_timeout=np.inf, timeout=np.inf)
+    return replace(config, controller=never, fields=replace(config.fields, via_points=20))

@@ -1,0 +1,137 @@
+"""Plans: inverse kinematics from a library of starts, and the guides made of them."""
+
+from dataclasses import replace
+
+import handmade
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.handoff.collision import CollisionChecker
+from mjx_grasp.reaching.body import FINGERS, PALM
+from mjx_grasp.reaching.command import half_spaces
+from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.guide import follow, track
+from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.poses import draw_poses
+from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.surroundings import Surroundings
+from mjx_grasp.reaching.sweep import candidates_of, plan_all
+from mjx_grasp.sim.scene import build_scene
+
+COUNT = 6
+
+
+@pytest.fixture(scope="module")
+def planned(body):
+    settings = preset("default")
+    reacher = Reacher(body, settings.reach, settings.selection)
+    plan = replace(settings.plan, library=8000, near=256, starts=16)
+    poses = draw_poses(COUNT, seed=21)
+    found = plan_all(reacher, plan, start_library(body, plan), poses, COUNT)
+    return reacher, plan, poses, found
+
+
+def _world(poses, k):
+    shape = Cylinder(jnp.float32(poses.radius[k]), jnp.float32(poses.half_length[k]))
+    return Surroundings.still(shape, jnp.asarray(poses.p_wo[k]), jnp.asarray(poses.R_wo[k]))
+
+
+def test_plans_put_the_tips_at_their_standoffs_clear_of_everything(planned):
+    reacher, plan, poses, found = planned
+    body, config = reacher.body, reacher.config
+
+    @jax.jit
+    def state(q, around):
+        motion = body.kinematics.motion(q)
+        _, bound, _ = half_spaces(body, motion, around, config)
+        return motion.pos[:FINGERS], jnp.max(bound) * config.limits.horizon
+
+    good = 0
+    for k in range(COUNT):
+        around = _world(poses, k)
+        candidates = candidates_of(reacher, around.shape)
+        c, q = int(found.plans.candidate[k, 0]), jnp.asarray(found.plans.guide.q[k, 0, 0])
+        assert np.all(q >= body.lower) and np.all(q <= body.upper)
+        centre, spread = candidates.centre[c], found.plans.spread[k, 0]
+        offset = reacher.selection.wrap_spread * spread
+        contacts = jnp.stack([candidates.thumb[c], centre + offset, centre - offset])
+        wrap = candidates.wrap_normal[c]
+        normals = jnp.stack([candidates.normal[c], wrap, wrap])
+        standoff = np.array([0.025, 0.040, 0.040])[:, None]
+        goals = around.p_wo + (contacts + standoff * normals) @ around.R_wo.T
+        tips, missing = state(q, around)
+        error = np.linalg.norm(tips - goals, axis=1).max()
+        good += error < plan.tolerance + 1e-3 and missing < 2e-3
+    assert good >= COUNT - 1
+    assert np.all(found.least_error < 0.02)
+
+
+def test_plans_are_free_of_self_collisions_by_mujoco(planned):
+    reacher, _, _, found = planned
+    checker = CollisionChecker(build_scene([handmade.ball()], reacher.body.robot))
+    away, upright = np.array([10.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    reasons = [checker.reason(q, away, upright) for q in found.plans.guide.q[:, 0, 0]]
+    assert reasons.count(None) >= COUNT - 1
+
+
+def test_plans_of_one_pose_differ(planned):
+    _, plan, _, found = planned
+    guide = found.plans.guide
+    for k in range(COUNT):
+        first, second = (
+            (guide.palm_pos[k, i, 0], guide.palm_mat[k, i, 0], found.cost[k, i]) for i in (0, 1)
+        )
+        assert first[2] <= second[2]
+        turn = np.linalg.norm(so3.log(jnp.asarray(first[1] @ second[1].T)))
+        assert np.linalg.norm(first[0] - second[0]) + plan.lever * turn > 0.9 * plan.differs
+
+
+def _guide(planned, k=0):
+    reacher, _, poses, found = planned
+    guide = jax.tree.map(lambda leaf: jnp.asarray(leaf[k, 0]), found.plans.guide)
+    return reacher, guide, jnp.asarray(poses.p_wo[k]), jnp.asarray(poses.R_wo[k])
+
+
+def test_guides_stay_while_the_object_does_and_track_it_when_it_moves(planned):
+    reacher, guide, p, R = _guide(planned)
+    body, config = reacher.body, reacher.config.guide
+    step = jax.jit(lambda q, p, R: track(body, guide, q, p, R, config))
+    q, astray = step(guide.q, p, R)
+    np.testing.assert_allclose(q, guide.q, atol=1e-6)
+    assert float(astray) < 0.01
+    p_new = p + jnp.asarray([0.0, 0.03, 0.0])
+    R_new = so3.exp(jnp.asarray([0.0, 0.0, 0.1])) @ R
+    for _ in range(30):
+        q, astray = step(q, p_new, R_new)
+    motion = body.kinematics.motion(q[0])
+    wanted = p_new + R_new @ guide.palm_pos[0]
+    assert np.linalg.norm(motion.pos[PALM] - wanted) < 2e-3
+    assert float(astray) < 0.01
+    hand = ~body.arm
+    np.testing.assert_allclose(q[:, hand], guide.q[:, hand], atol=1e-6)
+
+
+def test_the_hand_comes_in_only_when_it_is_aligned(planned):
+    reacher, guide, p, R = _guide(planned)
+    body, config = reacher.body, reacher.config.guide
+
+    def one(q, left):
+        motion = body.kinematics.motion(q)
+        return follow(guide, guide.q, jnp.float32(0), left, motion, p, R, config, 0.01)
+
+    outside = jnp.float32(1.0)
+    goal, left = one(guide.q[1], outside)  # at the retreated pose
+    assert left < 1.0 and np.all(np.isfinite(goal.palm_pos))
+    _, far = one(jnp.asarray(body.home), outside)
+    assert far == 1.0
+    # Spoilt on the way, it backs out; at the end it stays.
+    _, back = one(jnp.asarray(body.home), jnp.float32(0.5))
+    assert back > 0.5
+    goal, done = one(guide.q[0], jnp.float32(0.0))
+    assert done == 0.0
+    np.testing.assert_allclose(goal.offset, 0.0, atol=1e-7)
+    np.testing.assert_allclose(goal.q, guide.q[0], atol=1e-6)

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import stage_tables
 import tyro
+from stage_tables import NOTHING
 
 from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
@@ -40,8 +42,6 @@ from mjx_grasp.evaluation.tables import (
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"
-HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
-NOTHING = "_No results file yet._"
 EXPLANATION = (
     "Success in %, with 95 % intervals of the trials in brackets; force is the net contact force "
     f"per finger from lift onset. The last columns are quoted from {paper.CITATION}."
@@ -75,7 +75,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     Raises:
         FileError: A results file is damaged.
     """
-    files = sorted((root / "experiments" / "results").glob("*.json"))
+    folder = root / "experiments" / "results"
+    files = sorted(folder.glob("*.json"))
     schemas = {path: schema_of(path) for path in files}
     results = [p for p in files if schemas[p] == SCHEMAS[ResultRow]]
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
@@ -83,12 +84,16 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         root / "README.md": {
             "results": _main_results(results),
             "throughput": _throughput(throughput),
-            "reach": _reach(root / "experiments" / "results" / "reach_sweep_h200.json"),
-            "heatmap": _heatmap(sorted((root / "experiments" / "results").glob("heatmap_*.json"))),
+            "reach": stage_tables.reach_rates(folder / "reach_sweep_h200.json"),
+            "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
         },
         root / "experiments" / "README.md": {
             "tables": _all_tables(results),
             "runs": _runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
+            "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
+            "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
+            "steering": stage_tables.steering(folder / "steering.json"),
+            "ablation": stage_tables.reach_ablation(folder / "reach_ablation.json"),
             "files": _provenance(files).markdown() if files else NOTHING,
         },
     }
@@ -201,61 +206,6 @@ def _runs(paths: Sequence[Path]) -> str:
         *("M steps", "s", "steps/s", "success %", "force N"),
     )
     return Table("Training runs", header, lines, names=5).markdown()
-
-
-def _reach(path: Path) -> str:
-    """The sweep beside the publication's, and what happened at handoff."""
-    if not path.exists():
-        return NOTHING
-    d = json.loads(path.read_text())
-    ours, paper_rates = d["rate_percent"], d["paper_rate_percent"]
-    budgets = list(next(iter(ours.values())))
-    rows = tuple(
-        (f"{mm} mm", *(f"{ours[mm][b]:.1f} / {paper_rates[mm][b]:.1f}" for b in budgets))
-        for mm in ours
-    )
-    rates = Table("Reach", ("tolerance", *(f"{b} s" for b in budgets)), rows)
-    tips = d["handoff_mm"]
-    errors = ", ".join(
-        f"{name} {tips[name]['mean']:.1f} ± {tips[name]['std']:.1f} "
-        f"(paper {tips[name]['paper'][0]:.1f} ± {tips[name]['paper'][1]:.1f})"
-        for name in ("thumb", "index", "middle", "midpoint")
-    )
-    return "\n\n".join(
-        (
-            f"Reaches that converged, in % (ours / paper), of {d['poses']:,} random cylinder "
-            f"poses, by tolerance and fine-adjustment time; a solution exists for "
-            f"{d['solvable_percent']['20']:.1f} %. Counted from the start of the motion, "
-            f"{d['rate_percent_since_start']['20']['3']:.1f} % are within 20 mm after 3 s. The "
-            f"sweep took {sum(d['seconds'].values()):.0f} s on one {d['provenance']['device']}:",
-            rates.markdown(),
-            f"Tip errors at handoff in mm: {errors}.",
-        )
-    )
-
-
-def _heatmap(paths: Sequence[Path]) -> str:
-    """Times of the heatmap benchmark, device by device."""
-    rows = []
-    for path in paths:
-        d = json.loads(path.read_text())
-        if d.get("schema") != HEATMAP_SCHEMA:
-            continue
-        s = d["summary"]
-        faster = s.get("times_faster_than_reference", {}).get("median")
-        rows.append(
-            (
-                str(d["provenance"]["device"]),
-                f"{1e3 * s['median_seconds_per_scan']:.1f}",
-                f"{1e3 * s['all_scans_in_one_call_s']:.0f}",
-                f"{1e3 * s['steer_s']:.2f}",
-                f"{1e3 * s['steer_1000_anchors_s']:.2f}",
-                "" if faster is None else f"{faster:.0f} ×",
-            )
-        )
-    header = ("device", "one scan ms", "28 scans ms", "steering ms", "1,000 anchors ms")
-    table = Table("Heatmap", (*header, "against trimesh + embree"), tuple(rows))
-    return table.markdown() if rows else NOTHING
 
 
 def _provenance(paths: Sequence[Path]) -> Table:

@@ -26,6 +26,7 @@ GENERATED = re.compile(r"<!-- generated:(\w+) -->.*?<!-- /generated:\1 -->", re.
 
 def load_generator():
     path = ROOT / "experiments" / "make_readme.py"
+    sys.path.insert(0, str(path.parent))  # as when it is run as a script
     spec = importlib.util.spec_from_file_location("make_readme", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["make_readme"] = module  # dataclasses look their module up
@@ -76,6 +77,36 @@ def test_the_readmes_show_what_the_files_hold(root):
     for text in ("results/five.json", "results/other.json", "0123456789ab-dirty", "a card"):
         assert text in detail
     assert f"`{PROVENANCE['command']}`" in detail
+
+
+def test_the_stages_before_closing_have_their_tables(root):
+    results = root / "experiments" / "results"
+    sweep = {
+        "rate_percent": {"20": {"3": 91.25}},
+        "paper_rate_percent": {"20": {"3": 78.3}},
+        "rate_percent_since_start": {"20": {"3": 80.5}},
+        "solvable_percent": {"20": 97.5},
+        "poses": 2752,
+        "seconds": {"planning": 30.0, "reaching": 12.0},
+        "handoff_mm": {
+            name: {"mean": 6.5, "std": 2.5, "paper": [8.7, 3.5]}
+            for name in ("thumb", "index", "middle", "midpoint")
+        },
+        "provenance": PROVENANCE,
+    }
+    (results / "reach_sweep_h200.json").write_text(json.dumps(sweep))
+    steering = {"object": "mug", "instruction": "by the handle"}
+    rows = [
+        steering | {"steering": "default", "sigma_m": None, "contacts_mm": 51.4},
+        steering | {"steering": "in line", "sigma_m": 0.02, "contacts_mm": 17.6},
+    ]
+    (results / "steering.json").write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
+    run(root)
+    main = (root / "README.md").read_text()
+    for text in ("91.2 / 78.3", "97.5 %", "80.5 %", "42 s on one a card", "6.5 ± 2.5 (paper 8.7"):
+        assert text in main
+    detail = (root / "experiments" / "README.md").read_text()
+    assert "| mug | by the handle | 51 | 18 |" in detail
 
 
 def test_stale_sections_fail_the_check_and_stay(root):

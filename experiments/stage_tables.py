@@ -1,0 +1,141 @@
+"""Tables of the stages before closing, for the READMEs: heatmap, steering, reaching.
+
+Each takes the path of one results file and gives Markdown; `make_readme.py` puts it in place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjx_grasp.evaluation.layout import Table
+
+HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
+NOTHING = "_No results file yet._"
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    return json.loads(path.read_text()) if path.exists() else None
+
+
+def heatmap_speed(paths: Sequence[Path]) -> str:
+    """Times of the heatmap benchmark, device by device."""
+    rows = []
+    for path in paths:
+        d = json.loads(path.read_text())
+        if d.get("schema") != HEATMAP_SCHEMA:
+            continue
+        s = d["summary"]
+        faster = s.get("times_faster_than_reference", {}).get("median")
+        rows.append(
+            (
+                str(d["provenance"]["device"]),
+                f"{1e3 * s['median_seconds_per_scan']:.1f}",
+                f"{1e3 * s['all_scans_in_one_call_s']:.0f}",
+                f"{1e3 * s['steer_s']:.2f}",
+                f"{1e3 * s['steer_1000_anchors_s']:.2f}",
+                "" if faster is None else f"{faster:.0f} ×",
+            )
+        )
+    header = ("device", "one scan ms", "28 scans ms", "steering ms", "1,000 anchors ms")
+    table = Table("Heatmap", (*header, "against trimesh + embree"), tuple(rows))
+    return table.markdown() if rows else NOTHING
+
+
+def heatmap_oracle(path: Path) -> str:
+    """Agreement with the independent implementation."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    rows = tuple(
+        (
+            backend,
+            f"{s['vertices']:,}",
+            f"{s['agree']:,}",
+            f"{s['least_agree_percent']:.2f}",
+            ", ".join(f"{count} {why}" for why, count in s["exceptions"].items()),
+        )
+        for backend, s in d["summary"].items()
+    )
+    header = ("backend", "vertices", f"agree to {d['score_tolerance']:g}", "worst scan %", "others")
+    return Table("Oracle", header, rows).markdown()
+
+
+def heatmap_ranking(path: Path) -> str:
+    """Where the objects that the publication calls hard stand among all."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    seen = d["watched"]
+    rows = tuple(
+        (name.replace("_", " "), f"{rank}", f"{seen['rank_by_good_share'][name]}")
+        for name, rank in seen["rank_by_best_mean"].items()
+    )
+    header = (
+        f"rank of {seen['of']} by",
+        f"mean of the best {100 * d['best_share']:.0f} %",
+        f"share above {d['good_score']:g}",
+    )
+    last = ", ".join(name.replace("_", " ") for name in seen["last_four"])
+    return f"{Table('Ranking', header, rows).markdown()}\n\nThe last four: {last}."
+
+
+def steering(path: Path) -> str:
+    """Distance of the chosen contacts from the anchor."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    found: dict[tuple[str, str], dict[str, float]] = {}
+    for row in d["rows"]:
+        key = (row["object"].replace("_", " "), row["instruction"])
+        label = row["steering"]
+        if row["sigma_m"] is not None:
+            label += f", σ {1e3 * row['sigma_m']:.0f} mm"
+        found.setdefault(key, {})[label] = row["contacts_mm"]
+    labels = list(dict.fromkeys(label for part in found.values() for label in part))
+    rows = tuple(
+        (*key, *(f"{part[label]:.0f}" if label in part else "" for label in labels))
+        for key, part in found.items()
+    )
+    return Table("Steering", ("object", "instruction", *labels), rows, names=2).markdown()
+
+
+def reach_rates(path: Path) -> str:
+    """The sweep beside the publication's, and the tip errors at handoff."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    ours, published = d["rate_percent"], d["paper_rate_percent"]
+    budgets = list(next(iter(ours.values())))
+    rows = tuple(
+        (f"{mm} mm", *(f"{ours[mm][b]:.1f} / {published[mm][b]:.1f}" for b in budgets))
+        for mm in ours
+    )
+    rates = Table("Reach", ("tolerance", *(f"{b} s" for b in budgets)), rows)
+    tips = d["handoff_mm"]
+    errors = ", ".join(
+        f"{name} {tips[name]['mean']:.1f} ± {tips[name]['std']:.1f} "
+        f"(paper {tips[name]['paper'][0]:.1f} ± {tips[name]['paper'][1]:.1f})"
+        for name in ("thumb", "index", "middle", "midpoint")
+    )
+    return "\n\n".join(
+        (
+            f"Reaches that converged, in % (ours / paper), of {d['poses']:,} random cylinder "
+            "poses, by tolerance and fine-adjustment time; a solution exists for "
+            f"{d['solvable_percent']['20']:.1f} %. Counted from the start of the motion, "
+            f"{d['rate_percent_since_start']['20']['3']:.1f} % are within 20 mm after 3 s. The "
+            f"sweep took {sum(d['seconds'].values()):.0f} s on one {d['provenance']['device']}:",
+            rates.markdown(),
+            f"Tip errors at handoff in mm: {errors}.",
+        )
+    )
+
+
+def reach_ablation(path: Path) -> str:
+    """The published controller and each addition to it."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    return f"Reaches converged, in %, of {d['poses']:,} poses:\n\n{d['markdown']}"

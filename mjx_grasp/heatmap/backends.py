@@ -22,8 +22,9 @@ from mjx_grasp.heatmap.candidates import (
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap
 
-# Faces up to which a GPU is faster with every face than with building a hierarchy.
-_BRUTE_ON_GPU = 8192
+# Faces up to which a GPU is faster with every face than with building a hierarchy (between 10,000
+# and 100,000 on an H200: experiments/results/heatmap_h200.json).
+_BRUTE_ON_GPU = 12_000
 
 
 def backend_for(faces: int, config: HeatmapConfig) -> str:

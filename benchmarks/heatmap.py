@@ -29,7 +29,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import replacing, write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import (
     HeatmapConfig,
@@ -191,10 +191,10 @@ def measure(config: BenchmarkConfig) -> dict[str, Any]:
             row |= reference(meshes[name], hand, row["seconds"])
         per_scan.append(row)
 
-    everything = lambda: [  # noqa: E731
-        h.score
-        for h in compute_heatmaps(list(arrays.values()), None, hand.span, hand.scoring_friction)
-    ]
+    def everything():
+        found = compute_heatmaps(list(arrays.values()), None, hand.span, hand.scoring_friction)
+        return [h.score for h in found]
+
     all_s, all_first = timed(everything, config.repeats)
     heatmap = one(*max(arrays.values(), key=lambda a: len(a[0])))
     anchors = np.random.default_rng(0).normal(0, 0.03, (1000, 3)).astype(np.float32)
@@ -296,8 +296,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
 def main(config: BenchmarkConfig) -> None:
     """Measures, writes the file and the plot, prints the summary."""
     document = measure(config)
-    with replacing(config.out) as path:
-        path.write_text(json.dumps(document, indent=1) + "\n")
+    write_json(config.out, document)
     draw(document, config.plot or config.out.with_suffix(".png"))
     shown = ("summary", "limit", "growth", "peak_memory_bytes")
     print(json.dumps({k: document[k] for k in shown if k in document}, indent=1))

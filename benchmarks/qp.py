@@ -23,6 +23,7 @@ import numpy as np
 import qpax
 import tyro
 
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.body import reach_body
@@ -33,7 +34,6 @@ from mjx_grasp.reaching.presets import preset
 from mjx_grasp.reaching.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.reaching.qp import QP, scales, solve_qp
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sweep_reach import write_json
 
 _PERCENTILES = (50, 90, 99, 100)
 

@@ -15,6 +15,8 @@ import json
 import statistics
 import time
 from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ import mujoco
 import numpy as np
 import tyro
 
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.provenance import provenance
@@ -36,7 +39,6 @@ from mjx_grasp.reaching.sweep import candidates_of, plan_all
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.selection import select, start_selection
-from mjx_grasp.sweep_reach import write_json
 
 _TABLE = ((0.35, 0.0, -0.02), (0.65, 0.70, 0.02))
 
@@ -109,12 +111,9 @@ def standoff_goals(reacher: Reacher, poses: CylinderPoses, k: int) -> np.ndarray
 
 def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, Any] | None:
     """Reaches by mink with daqp, one robot; None where they are not installed."""
-    try:
-        import daqp  # noqa: F401
-        import mink
-    except ImportError:
+    if not (find_spec("daqp") and find_spec("mink")):
         return None
-    from importlib.metadata import version
+    import mink
 
     robot, dt = reacher.body.robot, reacher.config.controller.dt
     ticks, converged, seconds = 0, 0, 0.0

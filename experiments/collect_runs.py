@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.provenance import provenance
@@ -87,8 +87,7 @@ def main(config: CollectConfig) -> None:
         rows = {r["run"]: r for r in json.loads(config.out.read_text())["rows"]}
     rows |= {folder.name: run_row(folder) for folder in config.runs}
     document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
-    with replacing(config.out) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n")
+    write_json(config.out, document)
     print(f"{len(rows)} runs in {config.out}")
 
 

@@ -5,7 +5,6 @@ python experiments/heatmap_figure.py --objects-dir SCANS
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.sampling import best_triple
@@ -86,8 +85,7 @@ def main(config: FigureConfig) -> None:
         "drawing_seconds": drawing,
         "provenance": made,
     }
-    with replacing(config.results) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(config.results, content)
     Console().print(summary_table(rows))
     print(f"written: {config.out}, {config.results}")
 

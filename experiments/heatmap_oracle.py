@@ -18,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
@@ -88,8 +88,7 @@ def main(config: OracleConfig) -> None:
         "summary": {backend: summary(rows, backend) for backend in BACKENDS},
         "rows": rows,
     }
-    with replacing(config.out) as path:
-        path.write_text(json.dumps(document, indent=1) + "\n")
+    write_json(config.out, document)
     print(json.dumps(document["summary"], indent=1))
 
 

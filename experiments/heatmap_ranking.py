@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmaps
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
@@ -80,8 +80,7 @@ def main(config: RankingConfig) -> None:
         "watched": watched(rows),
         "rows": rows,
     }
-    with replacing(config.out) as path:
-        path.write_text(json.dumps(document, indent=1) + "\n")
+    write_json(config.out, document)
     for r in rows:
         print(
             f"{r['rank_by_best_mean']:3d}  {r['object']:22s} {r['best_mean']:.3f}"

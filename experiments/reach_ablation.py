@@ -12,13 +12,14 @@ from typing import Any
 import tyro
 from rich.console import Console
 
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.reaching.results import PAPER_RATE
 from mjx_grasp.reaching.sweep import BUDGETS
-from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig, run_sweep, write_json
+from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig, run_sweep
 
 _KEPT = (
     "rate_percent",

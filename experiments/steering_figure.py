@@ -5,7 +5,6 @@ python experiments/steering_figure.py --objects-dir SCANS
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
 from mjx_grasp.heatmap import Heatmap, compute_heatmap, steer
@@ -122,8 +121,7 @@ def main(config: FigureConfig) -> None:
         "settings": settings,
         "provenance": made,
     }
-    with replacing(config.results) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(config.results, content)
     Console().print(_table(rows))
     print(f"written: {config.out}, {config.results}")
 

@@ -1,9 +1,12 @@
-"""What all commands share: errors of the user's making are one line, not a traceback."""
+"""What all commands share: errors without a traceback, and a progress bar."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjx_grasp.errors import MjxGraspError
 
@@ -18,3 +21,15 @@ def run_command(command: Callable[[], None]) -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def counting_progress(console: Console | None) -> Progress:
+    """A bar with the number done and the time left; shown nowhere if the console is None."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=console is None,
+    )

@@ -7,9 +7,8 @@ from dataclasses import asdict
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
@@ -44,7 +43,7 @@ def make_handoffs(
         sets.append(before.select([n for n in before.object_names if n not in names]))
     robot = load_robot(config.robot)
     generator = HandoffGenerator(robot, config)
-    with _progress(console) as progress:
+    with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)
         for done, name in enumerate(names):
             task = progress.add_task(name, total=config.per_object)
@@ -64,17 +63,6 @@ def make_handoffs(
     path = config.out.with_suffix(".json")
     write_report(path, reports, provenance(config.seed), settings, earlier)
     return merged, reports
-
-
-def _progress(console: Console | None) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console is None,
-    )
 
 
 def main() -> None:

@@ -21,9 +21,8 @@ import numpy as np
 import trimesh
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.geometry.mesh import mass_properties
 from mjx_grasp.heatmap import Heatmap, HeatmapConfig, compute_heatmap, steer
@@ -126,7 +125,7 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
     span, friction = _hand(config)
     rows: dict[str, Row] = {}
     cells = []
-    with _progress(console) as progress:
+    with counting_progress(console) as progress:
         jobs = []
         for file in progress.track(files, description="reading meshes"):
             try:
@@ -251,17 +250,6 @@ def _subtitle(config: HeatmapsConfig, span: tuple[float, float], friction: float
 def _floats(point: np.ndarray) -> tuple[float, float, float]:
     x, y, z = point
     return float(x), float(y), float(z)
-
-
-def _progress(console: Console | None) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console is None,
-    )
 
 
 def main() -> None:

@@ -7,7 +7,6 @@ tolerance and time beside the publication's.
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import replacing, write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.provenance import provenance
@@ -144,12 +143,6 @@ def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) 
         "settings": asdict(settings),
         **result,
     }
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Writes a results file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, default=str) + "\n")
 
 
 def _progress(console: Console | None) -> Progress:

@@ -12,7 +12,7 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.table import Table
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import write_json
 from mjx_grasp.errors import FileError
 from mjx_grasp.handoff.collision import REASONS
 
@@ -133,5 +133,4 @@ def write_report(
         document["earlier"] = [*earlier["earlier"], earlier["provenance"]]
     document["objects"] = rows
     document["not_eligible"] = [row["name"] for row in rows if not row["eligible"]]
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n")
+    write_json(path, document)

@@ -112,9 +112,13 @@ def save_heatmap(
     _check(path, arrays)
     header: dict[str, Any] = {"format": FORMAT, "version": VERSION, **asdict(info)}
     header["checksum"] = _checksum(arrays, header)
-    members = {"header": np.array(json.dumps(header)), "term_names": np.array(TERMS), **arrays}
+    members: dict[str, Any] = {
+        "header": np.array(json.dumps(header)),
+        "term_names": np.array(TERMS),
+        **arrays,
+    }
     with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **members)  # type: ignore[arg-type]
+        np.savez_compressed(file, **members)
 
 
 def load_heatmap(path: str | Path) -> StoredHeatmap:

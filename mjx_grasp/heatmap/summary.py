@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import replacing, write_json
 from mjx_grasp.heatmap.files import HeatmapInfo
 from mjx_grasp.heatmap.sampling import Triples
 
@@ -61,13 +60,13 @@ def write_summary(
         writer.writerows(asdict(row) for row in rows)
     meshes = [asdict(row) for row in rows]
     content = {"meshes": meshes, "settings": settings, "provenance": provenance}
-    _write_json(folder / "summary.json", content)
+    write_json(folder / "summary.json", content)
 
 
 def write_triples(path: Path, triples: Triples, info: HeatmapInfo) -> None:
     """Writes triples and how their heatmap was made as JSON; metres, frame of the mesh."""
     content = {"unit": "m", "frame": "mesh", **asdict(info), "triples": as_records(triples)}
-    _write_json(path, content)
+    write_json(path, content)
 
 
 def as_records(triples: Triples) -> list[dict[str, Any]]:
@@ -76,8 +75,3 @@ def as_records(triples: Triples) -> list[dict[str, Any]]:
     fields = {name: np.asarray(value) for name, value in triples._asdict().items()}
     del fields["valid"]
     return [{name: value[k].tolist() for name, value in fields.items()} for k in rows]
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")

@@ -91,5 +91,6 @@ def target_of(name: str, mesh: trimesh.Trimesh, info: ObjectInfo | None = None) 
     """
     centre = np.asarray(mesh.bounds, np.float64).mean(axis=0)
     parts = {} if info is None else info.parts
-    moved = {part: tuple(float(x) for x in np.add(p, centre)) for part, p in parts.items()}
-    return Target(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), moved)  # type: ignore[arg-type]
+    x, y, z = (float(c) for c in centre)
+    moved = {part: (p[0] + x, p[1] + y, p[2] + z) for part, p in parts.items()}
+    return Target(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), moved)

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjx_grasp.robot.mjcf import build_mjcf, robot_mjspec, shipped_facts
+from mjx_grasp.robot.mjcf import build_mjcf, joint_columns, robot_mjspec, shipped_facts
 from mjx_grasp.robot.spec import load_robot
 
 VECTORS = Path(__file__).parents[1] / "data" / "robot_fk_vectors.json"
@@ -187,3 +188,13 @@ def test_drives_are_in_joint_order_with_the_joints_range(robot, model):
     np.testing.assert_array_equal(model.actuator_trnid[:, 0], np.arange(model.nu))
     np.testing.assert_array_equal(model.actuator_ctrlrange, model.jnt_range)
     assert np.all(np.diff(model.actuator_gainprm[: len(robot.arm.joints), 0]) <= 0)
+
+
+def test_joints_that_the_description_leaves_out_are_fixed_and_the_others_keep_their_columns(robot):
+    fewer = replace(robot, hand=replace(robot.hand, joints=robot.hand.joints[1:]))
+    left_out = robot.hand.joints[0]
+    model = robot_mjspec(fewer).compile()
+    assert model.njnt == model.nu == len(robot.joints) - 1
+    assert left_out not in {model.joint(i).name for i in range(model.njnt)}
+    columns = joint_columns(fewer)
+    assert [robot.joints[k] for k in columns] == list(fewer.joints)

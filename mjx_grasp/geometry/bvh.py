@@ -1,75 +1,96 @@
-"""Mesh queries through bounding-volume hierarchies: NVIDIA Warp's, on CPUs and CUDA GPUs.
+"""Mesh queries through NVIDIA Warp's hierarchies and grids, on CPUs and CUDA GPUs, from JAX.
 
 They name faces and sum over them; where on a face a contact lies is computed by the same code for
 both backends (:mod:`.rays`, :mod:`.closest`), so that these agree to rounding. Several meshes at
 once: a query names its mesh, and faces are counted through all of them.
+
+A query runs in the thread that calls it, on a CPU on one core: call for parts of the work from
+:func:`in_threads`.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 import warp as wp
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry import bvh_kernels
-from mjx_grasp.geometry.curvature import tangent_basis
+from mjx_grasp.geometry import bvh_kernels, face_blocks_kernel
+from mjx_grasp.geometry.face_blocks import WIDTH, face_blocks
 
-# Launches per CPU core: enough that cores end at about the same time.
-_PARTS_PER_CORE = 2
-_LEAST_PART = 256
 # Centroids in a leaf of their tree: fewer are found no faster, and take longer to build.
 _CENTROIDS_PER_LEAF = 8
+# Cells along each side of a grid of centroids; it repeats beyond.
+_GRID = 32
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 
 class MeshTrees:
-    """Hierarchies over the faces of some meshes and over their centroids, for queries from JAX.
+    """Hierarchies over the faces of some meshes.
+
+    On a CPU they are built in other threads meanwhile: the first query waits for them.
 
     Args:
         points: Vertices of each mesh, float32, [m].
         faces: Their indices, counted within each mesh.
-        centroids: Face centroids of each mesh, float32, [m].
     """
 
     def __init__(
         self,
         points: Sequence[Float[np.ndarray, "v 3"]],
         faces: Sequence[Int[np.ndarray, "f 3"]],
-        centroids: Sequence[Float[np.ndarray, "f 3"]],
     ):
-        self._device = _device()
-        run = _pool().map if self._device.is_cpu else map
-        # Built beside the meshes: first asked for when the rays are done.
-        trees = run(self._tree, centroids)
-        self._meshes = list(run(self._mesh, points, faces))
-        self._trees = list(trees)
-        counts = [len(f) for f in faces]
+        _device()
+        self._built = [_start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
+        self._grouped = [
+            _start(face_blocks, p, f)
+            for p, f in zip(points, faces, strict=True)
+            if _device().is_cpu
+        ]
+        self.counts = [len(f) for f in faces]
         diagonals = [np.linalg.norm(np.ptp(p, axis=0)) for p in points]
-        self._first_face = self._put(np.cumsum([0, *counts[:-1]]).astype(np.int32), wp.int32)
-        self._diagonal = self._put(np.asarray(diagonals, np.float32), wp.float32)
-        self._mesh_ids = self._ids(self._meshes)
-        self._tree_ids = self._ids(self._trees)
+        self.first_face = _put(_starts(self.counts), wp.int32)
+        self.diagonal = _put(np.asarray(diagonals, np.float32), wp.float32)
 
-    def _mesh(self, points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
-        corners = self._put(faces.astype(np.int32).ravel(), wp.int32)
-        return wp.Mesh(self._put(points, wp.vec3), corners)
+    @functools.cached_property
+    def _meshes(self) -> tuple[list[wp.Mesh], wp.array]:
+        meshes = [built() for built in self._built]
+        return meshes, _ids(meshes)
 
-    def _tree(self, centroids: np.ndarray) -> wp.Bvh:
-        at = self._put(centroids, wp.vec3)
-        return wp.Bvh(at, at, leaf_size=_CENTROIDS_PER_LEAF)
+    @functools.cached_property
+    def _blocks(self) -> list[wp.array]:
+        """What the search on a CPU takes first."""
+        found = [grouped() for grouped in self._grouped]
+        slots = _starts([len(x.face) for x in found])
+        face_of_slot = np.concatenate(
+            [x.face + first for x, first in zip(found, _starts(self.counts), strict=True)]
+        )
+        slot_of_face = np.empty(sum(self.counts), np.int32)
+        slot_of_face[face_of_slot] = np.arange(len(face_of_slot))
+        integers = [_starts([len(x.first) for x in found]), slots // WIDTH]
+        return [
+            *(_put(x, wp.int32) for x in integers),
+            _put(np.concatenate([x.boxes for x in found]).ravel(), wp.float32),
+            _put(np.concatenate([x.first for x in found]), wp.int32),
+            _put(np.concatenate([x.blocks for x in found]).ravel(), wp.float32),
+            _put(face_of_slot.astype(np.int32), wp.int32),
+            _put(slot_of_face, wp.int32),
+        ]
 
     def farthest_faces(
         self,
         owner: Int[Array, " n"],
         origins: Float[Array, "n 3"],
         directions: Float[Array, "n 3"],
-        count: int,
     ) -> Int[Array, " n"]:
         """The face that each ray meets farthest from its origin; −1 if none.
 
@@ -77,88 +98,115 @@ class MeshTrees:
             owner: Which mesh each ray is for.
             origins: Ray origins in [m], within the mesh's bounding box.
             directions: Ray directions, unit.
-            count: Rays that are asked; the rest is padding.
         """
-        out = wp.full(len(owner), -1, dtype=wp.int32, device=self._device)
-        inputs = [self._mesh_ids, self._first_face, self._diagonal]
-        inputs += [*map(self._take, (owner, origins, directions)), out]
-        self._launch(bvh_kernels.farthest, count, inputs)
+        out = wp.empty(len(owner), dtype=wp.int32, device=_device())
+        inputs = [self._meshes[1], self.first_face, self.diagonal]
+        inputs += [*map(_take, (owner, origins, directions)), out]
+        _launch(bvh_kernels.farthest, len(owner), inputs)
         return wp.to_jax(out)
 
     def nearest_faces(
         self,
         owner: Int[Array, " n"],
-        points: Float[Array, "k n 3"],
-        bound: Float[Array, "k n"],
-    ) -> Int[Array, "k n"]:
-        """The face nearest to each point; −1 if the mesh has none with an area.
+        points: Float[Array, "ksn 3"],
+        near: Int[Array, " n"],
+        sides: int,
+        count: int,
+    ) -> Int[Array, " ksn"]:
+        """The face nearest to each point; on a GPU −1 if the mesh has none with an area.
 
         Args:
-            owner: Which mesh each column of points is for.
-            points: Queries in [m]; those of a column are near each other, and speed each other's
-                search.
-            bound: Somewhat more than a distance within which there is a face, [m].
+            owner: Which mesh each of n columns is for.
+            points: Queries ``[k, s, n]`` in a row, [m]; the k of a column are near each other, and
+                speed each other's search.
+            near: A face not far from each column, −1 where none is known.
+            sides: s.
+            count: Of the n how many are asked; the rest, padding, has no meaning.
         """
-        length, chains = bound.shape
-        flat = points.reshape(-1, 3), bound.reshape(-1)
-        out = wp.full(length * chains, -1, dtype=wp.int32, device=self._device)
-        inputs: list[Any] = [self._mesh_ids, self._first_face, self._diagonal]
-        inputs += [self._take(owner), *map(self._take, flat), chains, length, out]
-        self._launch(bvh_kernels.nearest, chains, inputs)
-        return wp.to_jax(out).reshape(length, chains)
+        length = len(points) // (sides * len(owner))
+        out = wp.empty(len(points), dtype=wp.int32, device=_device())
+        asked = [*map(_take, (owner, points, near)), sides, len(owner), length, out]
+        if _device().is_cpu:
+            _launch(face_blocks_kernel.nearest, (sides, count), [*self._blocks, *asked])
+        else:
+            trees = [self._meshes[1], self.first_face, self.diagonal]
+            _launch(bvh_kernels.nearest, (sides, count), [*trees, *asked])
+        return wp.to_jax(out)
+
+
+class FaceGrids:
+    """The faces of some meshes by the place of their centroids.
+
+    Args:
+        trees: Of the meshes.
+        centroids: ``[f, 3]`` of all meshes, [m]; more at the end are padding.
+        face_normals: ``[f, 3]`` unit.
+        areas: ``[f]`` in [m²]; faces without area take no part.
+        radius: Faces with their centroid within this of a point count, [m].
+        min_faces: If fewer do, the nearest this many.
+    """
+
+    def __init__(
+        self,
+        trees: MeshTrees,
+        centroids: Float[Array, "f 3"],
+        face_normals: Float[Array, "f 3"],
+        areas: Float[Array, " f"],
+        *,
+        radius: float,
+        min_faces: int,
+    ):
+        self._of = trees
+        self._faces = [*map(_take, (centroids, face_normals, areas))]
+        ends = itertools.accumulate(trees.counts)
+        self._own = [self._faces[0][e - n : e] for e, n in zip(ends, trees.counts, strict=True)]
+        self._radius, self._min_faces = float(radius), int(min_faces)
+        self._grids = [_grid(own, self._radius) for own in self._own]
+        self._grid_ids = _ids(self._grids)
+
+    @functools.cached_property
+    def _trees(self) -> tuple[list[wp.Bvh], wp.array]:
+        """For what lies far from any faces; few meshes need them."""
+        trees = [wp.Bvh(own, own, leaf_size=_CENTROIDS_PER_LEAF) for own in self._own]
+        return trees, _ids(trees)
 
     def normal_spread(
         self,
         owner: Int[Array, " n"],
         points: Float[Array, "n 3"],
         normals: Float[Array, "n 3"],
-        centroids: Float[Array, "f 3"],
-        face_normals: Float[Array, "f 3"],
-        face_areas: Float[Array, " f"],
-        *,
-        radius: float,
-        min_faces: int,
+        tangents: tuple[Float[Array, "n 3"], Float[Array, "n 3"]],
         count: int,
     ) -> Float[Array, "n 3"]:
-        """See :func:`mjx_grasp.geometry.curvature.normal_spread`; faces are those of all meshes."""
-        arguments = (owner, points, normals, *_tangents(normals))
-        arguments += (centroids, face_normals, face_areas)
-        inputs = [self._tree_ids, self._first_face, self._diagonal, *map(self._take, arguments)]
-        out = wp.zeros(len(owner), dtype=wp.vec3, device=self._device)
-        self._launch(bvh_kernels.spread, count, [*inputs, float(radius), int(min_faces), out])
+        """See :func:`mjx_grasp.geometry.curvature.normal_spread`.
+
+        Args:
+            owner: Which mesh each point is on.
+            points: Surface points in [m].
+            normals: Unit normals there.
+            tangents: Their tangent bases.
+            count: Points that are asked; the rest, padding, has no meaning.
+        """
+        asked = [*map(_take, (owner, points, normals, *tangents)), *self._faces]
+        found = wp.empty(len(owner), dtype=wp.int32, device=_device())
+        out = wp.empty(len(owner), dtype=wp.vec3, device=_device())
+        inputs = [self._grid_ids, self._of.first_face, *asked, self._radius, found, out]
+        _launch(bvh_kernels.spread, count, inputs)
+        few = np.flatnonzero(found.numpy()[:count] < self._min_faces).astype(np.int32)
+        if len(few):
+            inputs = [_put(few, wp.int32), self._trees[1], self._of.first_face, self._of.diagonal]
+            inputs += [*asked, self._radius, self._min_faces, out]
+            _launch(bvh_kernels.wider_spread, len(few), inputs)
         return wp.to_jax(out)
 
-    def _launch(self, kernel: Any, count: int, inputs: list[Any]) -> None:
-        """Runs a kernel; on a CPU, where Warp uses one core, in parts on all of them."""
 
-        def part(start: int, size: int) -> None:
-            wp.launch(kernel, dim=size, inputs=[start, *inputs], device=self._device)
-
-        if not self._device.is_cpu:
-            part(0, count)
-            # JAX does not know of Warp's stream.
-            wp.synchronize_device(self._device)
-            return
-        size = max(_LEAST_PART, -(-count // (_PARTS_PER_CORE * _cores())))
-        starts = range(0, count, size)
-        list(_pool().map(lambda start: part(start, min(size, count - start)), starts))
-
-    def _put(self, array: np.ndarray, dtype: Any) -> wp.array:
-        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
-
-    def _ids(self, items: Sequence[Any]) -> wp.array:
-        return self._put(np.array([item.id for item in items], np.uint64), wp.uint64)
-
-    def _take(self, array: Array) -> wp.array:
-        """An array of JAX as one of Warp, without a copy."""
-        array = jax.block_until_ready(array)
-        return wp.from_jax(array, dtype=wp.vec3 if array.ndim == 2 else None)
+def in_threads(function: Callable[[S], T], parts: Iterable[S]) -> list[T]:
+    """``function`` of all parts, on a CPU on all of its cores at once."""
+    return list(_pool().map(function, parts) if _device().is_cpu else map(function, parts))
 
 
-_tangents = jax.jit(tangent_basis)
-
-
-def _cores() -> int:
+def cores() -> int:
+    """CPU cores that this process may use."""
     known = hasattr(os, "sched_getaffinity")
     return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
 
@@ -166,9 +214,52 @@ def _cores() -> int:
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
     """Threads that stay: to start them takes as long as a query of a whole mesh."""
-    return ThreadPoolExecutor(_cores())
+    return ThreadPoolExecutor(cores())
 
 
+def _start(build: Callable[..., T], *arguments: Any) -> Callable[[], T]:
+    """What gives a result that on a CPU is worked out in another thread meanwhile."""
+    if _device().is_cpu:
+        return _pool().submit(build, *arguments).result
+    built = build(*arguments)
+    return lambda: built
+
+
+def _mesh(points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
+    return wp.Mesh(_put(points, wp.vec3), _put(faces.astype(np.int32).ravel(), wp.int32))
+
+
+def _grid(centroids: wp.array, radius: float) -> wp.HashGrid:
+    grid = wp.HashGrid(_GRID, _GRID, _GRID, device=_device())
+    grid.build(centroids, radius)
+    return grid
+
+
+def _launch(kernel: Any, count: int | tuple[int, int], inputs: list[Any]) -> None:
+    wp.launch(kernel, dim=count, inputs=inputs, device=_device())
+    # JAX does not know of Warp's stream.
+    wp.synchronize_device(_device())
+
+
+def _starts(counts: Sequence[int]) -> np.ndarray:
+    return np.cumsum([0, *counts[:-1]], dtype=np.int32)
+
+
+def _put(array: np.ndarray, dtype: Any) -> wp.array:
+    return wp.array(np.ascontiguousarray(array), dtype=dtype, device=_device())
+
+
+def _ids(items: Sequence[Any]) -> wp.array:
+    return _put(np.array([item.id for item in items], np.uint64), wp.uint64)
+
+
+def _take(array: Array) -> wp.array:
+    """An array of JAX as one of Warp, without a copy."""
+    array = jax.block_until_ready(array)
+    return wp.from_jax(array, dtype=wp.vec3 if array.ndim == 2 else None)
+
+
+@functools.cache
 def _device() -> Any:
     """Warp's name for JAX's device; the first call starts Warp and loads the kernels, quietly."""
     level = wp.config.log_level
@@ -177,6 +268,8 @@ def _device() -> Any:
         wp.init()
         device = wp.device_from_jax(jax.devices()[0])
         wp.load_module(bvh_kernels, device=device)
+        if device.is_cpu:
+            wp.load_module(face_blocks_kernel, device=device)
     finally:
         wp.config.log_level = level
     return device

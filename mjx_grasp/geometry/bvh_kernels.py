@@ -1,7 +1,7 @@
 """Kernels of NVIDIA Warp for :mod:`.bvh`: one query of a mesh per thread.
 
-Each takes the first of the threads it works for (`start`), the meshes or trees, the first face and
-the diagonal of each, and which of them each query is for (`owner`).
+Each takes the meshes, trees or grids, the first face and the diagonal of each mesh, and which of
+them each query is for (`owner`).
 """
 
 # In a kernel `int(0)` is a variable where `0` is a constant; types are Warp's own.
@@ -15,7 +15,6 @@ from mjx_grasp.geometry.curvature import SAME_DISTANCE, SQUARE
 
 @wp.kernel
 def farthest(
-    start: int,
     meshes: wp.array(dtype=wp.uint64),
     first_face: wp.array(dtype=int),
     diagonal: wp.array(dtype=float),
@@ -25,7 +24,7 @@ def farthest(
     face: wp.array(dtype=int),
 ):
     """The face that each ray meets farthest from its origin; −1 if none."""
-    i = start + wp.tid()
+    i = wp.tid()
     o = owner[i]
     # Back from beyond the mesh: the first hit met there is the farthest one of the ray.
     reach = 2.0 * diagonal[o]
@@ -37,56 +36,118 @@ def farthest(
 
 @wp.kernel
 def nearest(
-    start: int,
     meshes: wp.array(dtype=wp.uint64),
     first_face: wp.array(dtype=int),
     diagonal: wp.array(dtype=float),
     owner: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3),
-    bound: wp.array(dtype=float),
-    chains: int,
+    near: wp.array(dtype=int),
+    sides: int,
+    padded: int,
     length: int,
     face: wp.array(dtype=int),
 ):
     """The face nearest to each point of a chain; −1 if none."""
-    i = start + wp.tid()
+    side, i = wp.tid()
     o = owner[i]
     mesh = meshes[o]
-    slack = 1.0e-4 * diagonal[o]
+    slack = 1.0e-3 * diagonal[o]
+    # The last point's contact is on the mesh: no need to look farther than that.
+    known = near[i]
     contact = wp.vec3()
-    known = int(0)
+    if known >= 0:
+        contact = wp.mesh_eval_position(mesh, known - first_face[o], 1.0, 0.0)
     for k in range(length):
-        at = k * chains + i
+        at = (k * sides + side) * padded + i
         point = points[at]
-        # The last point's contact is on the mesh too: no need to look farther than that.
-        limit = bound[at]
-        if known == 1:
-            limit = wp.min(limit, wp.length(point - contact) + slack)
+        limit = wp.length(point) + 2.0 * diagonal[o]
+        if known >= 0:
+            limit = wp.length(point - contact) + slack
         query = wp.mesh_query_point_no_sign(mesh, point, limit)
-        if not query.result:
-            query = wp.mesh_query_point_no_sign(mesh, point, wp.length(point) + 2.0 * diagonal[o])
         face[at] = -1
         if query.result:
-            face[at] = first_face[o] + query.face
+            known = first_face[o] + query.face
+            face[at] = known
             contact = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-            known = 1
 
 
 @wp.func
-def squared_distance(
+def alike(
     j: int,
-    point: wp.vec3,
     normal: wp.vec3,
-    centroids: wp.array(dtype=wp.vec3),
     face_normals: wp.array(dtype=wp.vec3),
     areas: wp.array(dtype=float),
 ):
-    """From a point to a face that faces the same way; negative for the others."""
-    squared = float(-1.0)
-    if areas[j] > 0.0 and wp.dot(face_normals[j], normal) > wp.static(SQUARE):
-        r = centroids[j] - point
-        squared = wp.dot(r, r)
-    return squared
+    """Whether a face has an area and faces the same way."""
+    return areas[j] > 0.0 and wp.dot(face_normals[j], normal) > wp.static(SQUARE)
+
+
+@wp.func
+def spread_of(area: wp.float64, first: wp.vec2d, second: wp.vec3d):
+    """Second moments of the normals about their mean, over the area, from the sums."""
+    spread = wp.vec3()
+    if area > wp.float64(0.0):
+        x = first[0] / area
+        y = first[1] / area
+        xx = second[0] / area - x * x
+        xy = second[1] / area - x * y
+        yy = second[2] / area - y * y
+        spread = wp.vec3(float(xx), float(xy), float(yy))
+    return spread
+
+
+@wp.kernel
+def spread(
+    grids: wp.array(dtype=wp.uint64),
+    first_face: wp.array(dtype=int),
+    owner: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    tangents_1: wp.array(dtype=wp.vec3),
+    tangents_2: wp.array(dtype=wp.vec3),
+    centroids: wp.array(dtype=wp.vec3),
+    face_normals: wp.array(dtype=wp.vec3),
+    areas: wp.array(dtype=float),
+    radius: float,
+    counts: wp.array(dtype=int),
+    out: wp.array(dtype=wp.vec3),
+):
+    """Spread of the normals within a radius: see ``normal_spread`` in :mod:`.curvature`."""
+    i = wp.tid()
+    o = owner[i]
+    offset = first_face[o]
+    point = points[i]
+    normal = normals[i]
+    t1 = tangents_1[i]
+    t2 = tangents_2[i]
+    slack = 1.0 + wp.static(SAME_DISTANCE)
+    reach = slack * radius * radius
+    # In double precision, so that large moments may be subtracted.
+    count = int(0)
+    area = wp.float64(0.0)
+    sx = wp.float64(0.0)
+    sy = wp.float64(0.0)
+    sxx = wp.float64(0.0)
+    sxy = wp.float64(0.0)
+    syy = wp.float64(0.0)
+    j = int(0)
+    query = wp.hash_grid_query(grids[o], point, slack * radius)
+    while wp.hash_grid_query_next(query, j):
+        f = offset + j
+        # Most are too far: the rest is read for the others alone.
+        if wp.length_sq(centroids[f] - point) <= reach and alike(f, normal, face_normals, areas):
+            a = wp.float64(areas[f])
+            x = wp.float64(wp.dot(face_normals[f], t1))
+            y = wp.float64(wp.dot(face_normals[f], t2))
+            count += 1
+            area += a
+            sx += a * x
+            sy += a * y
+            sxx += a * x * x
+            sxy += a * x * y
+            syy += a * y * y
+    counts[i] = count
+    out[i] = spread_of(area, wp.vec2d(sx, sy), wp.vec3d(sxx, sxy, syy))
 
 
 @wp.func
@@ -111,8 +172,8 @@ def reach_of(
         j = int(0)
         query = wp.bvh_query_sphere(tree, point, ball)
         while wp.bvh_query_next(query, j):
-            d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
-            if d >= 0.0 and d <= ball * ball:
+            d = wp.length_sq(centroids[offset + j] - point)
+            if d <= ball * ball and alike(offset + j, normal, face_normals, areas):
                 enough += 1
     # From the nearest on, distance by distance.
     reach = float(-1.0)
@@ -124,8 +185,8 @@ def reach_of(
         j = int(0)
         query = wp.bvh_query_sphere(tree, point, ball)
         while wp.bvh_query_next(query, j):
-            d = squared_distance(offset + j, point, normal, centroids, face_normals, areas)
-            if d > reach:
+            d = wp.length_sq(centroids[offset + j] - point)
+            if d > reach and alike(offset + j, normal, face_normals, areas):
                 if following < 0.0 or d < following:
                     following = d
                     ties = int(1)
@@ -140,8 +201,8 @@ def reach_of(
 
 
 @wp.kernel
-def spread(
-    start: int,
+def wider_spread(
+    rows: wp.array(dtype=int),
     trees: wp.array(dtype=wp.uint64),
     first_face: wp.array(dtype=int),
     diagonal: wp.array(dtype=float),
@@ -157,8 +218,8 @@ def spread(
     min_faces: int,
     out: wp.array(dtype=wp.vec3),
 ):
-    """Spread of the normals around each point: see ``normal_spread`` in :mod:`.curvature`."""
-    i = start + wp.tid()
+    """Spread of the normals of the nearest ``min_faces``, for some rows."""
+    i = rows[wp.tid()]
     o = owner[i]
     point = points[i]
     normal = normals[i]
@@ -166,51 +227,32 @@ def spread(
     t2 = tangents_2[i]
     offset = first_face[o]
     slack = 1.0 + wp.static(SAME_DISTANCE)
-    reach = slack * radius * radius
-    # Once as a rule; where too few faces are near, with the reach that holds enough of them.
+    wider = reach_of(
+        trees[o], offset, point, normal, centroids, face_normals, areas, min_faces,
+        radius, 2.0 * diagonal[o] + wp.length(point),
+    )  # fmt: skip
+    reach = slack * wp.max(radius * radius, wider)
+    # In double precision, so that large moments may be subtracted.
+    count = int(0)
     area = wp.float64(0.0)
     sx = wp.float64(0.0)
     sy = wp.float64(0.0)
     sxx = wp.float64(0.0)
     sxy = wp.float64(0.0)
     syy = wp.float64(0.0)
-    count = int(-1)
-    while count < min_faces:
-        if count >= 0:
-            wider = reach_of(
-                trees[o], offset, point, normal, centroids, face_normals, areas, min_faces,
-                radius, 2.0 * diagonal[o] + wp.length(point),
-            )  # fmt: skip
-            # As many as there are: no reach holds more.
-            min_faces = 0
-            reach = wp.max(reach, slack * wider)
-        area = wp.float64(0.0)
-        sx = wp.float64(0.0)
-        sy = wp.float64(0.0)
-        sxx = wp.float64(0.0)
-        sxy = wp.float64(0.0)
-        syy = wp.float64(0.0)
-        count = int(0)
-        j = int(0)
-        query = wp.bvh_query_sphere(trees[o], point, slack * wp.sqrt(reach))
-        while wp.bvh_query_next(query, j):
-            f = offset + j
-            d = squared_distance(f, point, normal, centroids, face_normals, areas)
-            if d >= 0.0 and d <= reach:
-                # In double precision, so that large moments may be subtracted.
-                a = wp.float64(areas[f])
-                x = wp.float64(wp.dot(face_normals[f], t1))
-                y = wp.float64(wp.dot(face_normals[f], t2))
-                area += a
-                sx += a * x
-                sy += a * y
-                sxx += a * x * x
-                sxy += a * x * y
-                syy += a * y * y
-                count += 1
-    if area > wp.float64(0.0):
-        mx = sx / area
-        my = sy / area
-        out[i] = wp.vec3(
-            float(sxx / area - mx * mx), float(sxy / area - mx * my), float(syy / area - my * my)
-        )
+    j = int(0)
+    query = wp.bvh_query_sphere(trees[o], point, slack * wp.sqrt(reach))
+    while wp.bvh_query_next(query, j):
+        f = offset + j
+        if wp.length_sq(centroids[f] - point) <= reach and alike(f, normal, face_normals, areas):
+            a = wp.float64(areas[f])
+            x = wp.float64(wp.dot(face_normals[f], t1))
+            y = wp.float64(wp.dot(face_normals[f], t2))
+            count += 1
+            area += a
+            sx += a * x
+            sy += a * y
+            sxx += a * x * x
+            sxy += a * x * y
+            syy += a * y * y
+    out[i] = spread_of(area, wp.vec2d(sx, sy), wp.vec3d(sxx, sxy, syy))

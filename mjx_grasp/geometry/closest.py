@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry.tiles import first_true, map_tiles, tile_for
+from mjx_grasp.geometry.tiles import first_least, map_tiles, tile_for
 from mjx_grasp.geometry.vectors import norm
 
 
@@ -120,9 +120,7 @@ def closest_on_mesh(
 
     def nearest_face(point):
         ap = tuple(point[:, k, None] - corner[None, :, k] for k in range(3))
-        # Kept as it is: both passes below read it, and neither shall compute it again.
-        squared = jax.lax.optimization_barrier(_weights(ap, ab, ac, to_v, to_w)[2])
-        return first_true(squared <= jnp.min(squared, axis=1, keepdims=True))
+        return first_least(_weights(ap, ab, ac, to_v, to_w)[2])
 
     face = map_tiles(nearest_face, (points,), tile or tile_for(triangles.shape[0]))
     return closest_on_face(points, triangles, face)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.geometry.tiles import first_true, map_tiles, tile_for
+from mjx_grasp.geometry.tiles import first_least, map_tiles, tile_for
 
 # Slack on the barycentric weights: a ray through a shared edge must not slip between its faces
 # in float32. On a 5 mm face it is 0.5 µm.
@@ -95,10 +94,7 @@ def farthest_hit(
     def farthest(origin, direction):
         origin, direction = (tuple(x[:, k, None] for k in range(3)) for x in (origin, direction))
         inside, t, _, _ = _intersect(origin, direction, *mesh)
-        reach = jnp.where(inside & (t > min_distance), t, -jnp.inf)
-        # Kept as it is: both passes below read it, and neither shall compute it again.
-        reach = jax.lax.optimization_barrier(reach)
-        return first_true(reach >= jnp.max(reach, axis=1, keepdims=True))
+        return first_least(jnp.where(inside & (t > min_distance), -t, jnp.inf))
 
     tile = tile or tile_for(triangles.shape[0])
     face = map_tiles(farthest, (origins, directions), tile)

@@ -2,29 +2,52 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Int
 
 from mjx_grasp.geometry.closest import closest_on_face, closest_on_mesh
-from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread
+from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
 from mjx_grasp.geometry.rays import farthest_hit, hit_on_face
 from mjx_grasp.geometry.tiles import tile_for
 from mjx_grasp.heatmap.candidates import (
     Surfaces,
+    Thumbs,
     best_candidates,
     opposing_contacts,
     wrap_seeds,
 )
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.packing import Layout, pack, pack_on_device, unpack, unpack_on_device
+
+if TYPE_CHECKING:
+    from mjx_grasp.geometry.bvh import MeshTrees
 
 # Faces up to which a GPU is faster with every face than with building a hierarchy (between 10,000
 # and 100,000 on an H200: experiments/results/heatmap_h200.json).
 _BRUTE_ON_GPU = 12_000
+
+
+def start_trees(
+    points: Sequence[Float[np.ndarray, "v 3"]], faces: Sequence[Int[np.ndarray, "f 3"]]
+) -> MeshTrees:
+    """Hierarchies of meshes, which are built meanwhile.
+
+    Args:
+        points: Vertices of each mesh, float32, [m].
+        faces: Their indices, counted within each mesh.
+    """
+    # Warp takes half a second to import, and only this backend needs it.
+    from mjx_grasp.geometry.bvh import MeshTrees
+
+    return MeshTrees(points, faces)
 
 
 def backend_for(faces: int, config: HeatmapConfig) -> str:
@@ -39,8 +62,8 @@ def backend_for(faces: int, config: HeatmapConfig) -> str:
 
 def brute_candidates(
     stacked: Surfaces, span: np.ndarray, friction: np.ndarray, config: HeatmapConfig
-) -> Heatmap:
-    """Candidates of meshes of the same padded size, over all faces.
+) -> Callable[[], Heatmap]:
+    """Starts on the candidates of meshes of the same padded size, over all faces.
 
     Args:
         stacked: One mesh each along the leading axis ``[g, …]``.
@@ -52,18 +75,33 @@ def brute_candidates(
     # As many meshes at once as fit beside each other where most is asked: the nearest points.
     queries = 2 * len(config.wrap_offsets) * vertices
     at_once = min(stacked.areas.shape[0], max(1, tile_for(faces) // queries))
-    return _brute(stacked, span, friction, config, at_once)
+    asked = stacked, span, friction
+    program, layout = _brute_program(Layout.of(asked), config, at_once)
+    words = program(pack(asked))
+    return lambda: unpack(np.asarray(words), layout)
 
 
-@partial(jax.jit, static_argnames=("config", "at_once"))
+@functools.cache
+def _brute_program(asked: Layout, config: HeatmapConfig, at_once: int) -> tuple[Any, Layout]:
+    """From packed arguments to a packed heatmap, compiled; and that one's layout."""
+
+    def run(words):
+        return _brute(*unpack_on_device(words, asked), config, at_once)
+
+    words = jax.ShapeDtypeStruct((asked.size,), np.uint32)
+    return jax.jit(lambda words: pack_on_device(run(words))), Layout.of(jax.eval_shape(run, words))
+
+
 def _brute(stacked, span, friction, config, at_once):
     tile = config.tile or tile_for(stacked.areas.shape[1], at_once)
 
     def one(surfaces):
-        triangles = surfaces.vertices[surfaces.faces]
+        vertices = surfaces.vertices
+        thumbs = Thumbs(vertices, surfaces.normals, jnp.zeros(len(vertices), int))
+        triangles = vertices[surfaces.faces]
         least = config.min_ray_fraction * surfaces.diagonal[0]
-        hits = farthest_hit(surfaces.vertices, -surfaces.normals, triangles, least, tile)
-        opposing, normals = opposing_contacts(surfaces, hits)
+        hits = farthest_hit(vertices, -surfaces.normals, triangles, least, tile)
+        opposing, normals = opposing_contacts(surfaces, thumbs, hits)
         spread = normal_spread(
             opposing,
             normals,
@@ -74,12 +112,12 @@ def _brute(stacked, span, friction, config, at_once):
             min_faces=config.curvature_min_faces,
             tile=tile,
         )
-        long_axis = _axes(surfaces, spread, normals, config)
+        long_axis = _axes(surfaces, thumbs, spread, normals, config)
         seeds = wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
         nearest = jax.lax.optimization_barrier(closest_on_mesh(seeds, triangles, tile))
         on_mesh = jnp.ones(seeds.shape[0], bool)
         return best_candidates(
-            surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
+            surfaces, thumbs, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
         )
 
     if at_once == stacked.areas.shape[0]:
@@ -87,11 +125,11 @@ def _brute(stacked, span, friction, config, at_once):
     return jax.lax.map(one, stacked, batch_size=at_once)
 
 
-def _axes(surfaces, spread, normals, config):
+def _axes(surfaces, thumbs, spread, normals, config):
     return axes_of_spread(
         spread,
         normals,
-        surfaces.axes[surfaces.owner],
+        surfaces.axes[thumbs.owner],
         isotropy=config.curvature_isotropy,
         flatness=config.curvature_flatness,
         parallel_angle=config.parallel_angle,
@@ -99,92 +137,93 @@ def _axes(surfaces, spread, normals, config):
 
 
 def bvh_candidates(
+    trees: MeshTrees,
     surfaces: Surfaces,
-    counts: list[tuple[int, int]],
+    counts: Sequence[tuple[int, int]],
     span: np.ndarray,
     friction: np.ndarray,
     config: HeatmapConfig,
-) -> Heatmap:
-    """Candidates of meshes one after the other, through hierarchies.
+) -> Callable[[], Heatmap]:
+    """Starts on the candidates of meshes one after the other, through hierarchies.
 
     Args:
-        surfaces: The meshes, as arrays of NumPy; padding at the end.
+        trees: Of the meshes.
+        surfaces: The same, as arrays of NumPy; padding at the end.
         counts: Vertices and faces of each mesh.
         span: Narrowest and widest grasp, [m].
         friction: μ.
         config: Settings.
     """
-    # Warp takes half a second to import, and only this backend needs it.
-    from mjx_grasp.geometry.bvh import MeshTrees
+    from mjx_grasp.geometry.bvh import FaceGrids, in_threads
 
-    ends = np.cumsum(counts, axis=0)
-    starts = ends - np.asarray(counts)
-    trees = MeshTrees(
-        [surfaces.vertices[a:b] for a, b in zip(starts[:, 0], ends[:, 0], strict=True)],
-        [
-            surfaces.faces[a:b] - first
-            for a, b, first in zip(starts[:, 1], ends[:, 1], starts[:, 0], strict=True)
-        ],
-        [surfaces.centroids[a:b] for a, b in zip(starts[:, 1], ends[:, 1], strict=True)],
-    )
-    count = int(ends[-1, 0])
-    surfaces = jax.device_put(surfaces)
-    owner, directions = _rays(surfaces)
-    face = trees.farthest_faces(owner, surfaces.vertices, directions, count)
-    hits, opposing, normals = _met(surfaces, directions, face, config)
-    spread = trees.normal_spread(
-        owner,
-        opposing,
-        normals,
+    vertices = sum(v for v, _ in counts)
+    owner = np.repeat(np.arange(len(counts), dtype=np.int32), [v for v, _ in counts])
+    owner = np.concatenate([owner, owner[-1:].repeat(len(surfaces.vertices) - vertices)])
+    given = surfaces, Thumbs(surfaces.vertices, surfaces.normals, owner)
+    parts = _parts()
+    surfaces, thumbs, directions = _split(pack(given), Layout.of(given), parts)
+    grids = FaceGrids(
+        trees,
         surfaces.centroids,
         surfaces.face_normals,
         surfaces.areas,
         radius=config.curvature_radius,
         min_faces=config.curvature_min_faces,
-        count=count,
     )
-    long_axis, seeds, seed_owner, bound = _seeded(surfaces, opposing, normals, spread, config)
-    near = trees.nearest_faces(seed_owner, seeds, bound).reshape(-1)
-    nearest = _projected(surfaces, seeds, near)
-    return _scored(surfaces, hits, opposing, long_axis, nearest, near >= 0, span, friction, config)
+
+    def part(k: int) -> Any:
+        own = thumbs[k]
+        asked = min(max(vertices - k * len(own.owner), 0), len(own.owner))
+        face = trees.farthest_faces(own.owner, own.points, directions[k])
+        hits, opposing, normals, tangents = _met(surfaces, own, directions[k], face, config)
+        spread = grids.normal_spread(own.owner, opposing, normals, tangents, asked)
+        long_axis, seeds = _seeded(surfaces, own, opposing, normals, spread, config)
+        near = trees.nearest_faces(own.owner, seeds, face, 2, asked)
+        nearest = _projected(surfaces, seeds, near)
+        return _scored(
+            surfaces, own, hits, opposing, long_axis, nearest, near >= 0, span, friction, config
+        )
+
+    found = in_threads(part, range(parts))
+    return lambda: jax.tree.map(lambda *x: np.concatenate(x), *jax.device_get(found))
 
 
-@jax.jit
-def _rays(surfaces: Surfaces) -> tuple[Array, Float[Array, "v 3"]]:
-    return surfaces.owner, -surfaces.normals
+def _parts() -> int:
+    """Parts of the work: on a CPU one for each core."""
+    from mjx_grasp.geometry.bvh import cores
+
+    return cores() if jax.default_backend() == "cpu" else 1
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _split(words, layout, parts):
+    surfaces, thumbs = unpack_on_device(words, layout)
+    size = -(-len(thumbs.owner) // parts)
+    split = [
+        jax.tree.map(lambda x, k=k: x[k * size : (k + 1) * size], thumbs) for k in range(parts)
+    ]
+    return surfaces, split, [-t.normals for t in split]
 
 
 @partial(jax.jit, static_argnames="config")
-def _met(surfaces, directions, face, config):
-    least = config.min_ray_fraction * surfaces.diagonal[surfaces.owner]
+def _met(surfaces, thumbs, directions, face, config):
+    least = config.min_ray_fraction * surfaces.diagonal[thumbs.owner]
     triangles = surfaces.vertices[surfaces.faces]
-    hits = hit_on_face(surfaces.vertices, directions, triangles, face, least)
-    return hits, *opposing_contacts(surfaces, hits)
+    hits = hit_on_face(thumbs.points, directions, triangles, face, least)
+    opposing, normals = opposing_contacts(surfaces, thumbs, hits)
+    return hits, opposing, normals, tangent_basis(normals)
 
 
 @partial(jax.jit, static_argnames="config")
-def _seeded(surfaces, opposing, normals, spread, config):
-    long_axis = _axes(surfaces, spread, normals, config)
-    seeds = wrap_seeds(opposing, long_axis, config.wrap_offsets)
-    offsets = jnp.asarray(config.wrap_offsets, seeds.dtype)
-    # A seed's own o is at h from it; somewhat more, for the search takes what is strictly nearer.
-    slack = 1e-3 * surfaces.diagonal[surfaces.owner]
-    bound = jnp.broadcast_to((1.01 * offsets)[:, None, None] + slack, seeds.shape[:-1])
-    count = len(config.wrap_offsets)
-    owner = jnp.tile(surfaces.owner, 2)
-    return long_axis, seeds.reshape(count, -1, 3), owner, bound.reshape(count, -1)
+def _seeded(surfaces, thumbs, opposing, normals, spread, config):
+    long_axis = _axes(surfaces, thumbs, spread, normals, config)
+    return long_axis, wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
 
 
 @jax.jit
 def _projected(surfaces, seeds, face):
-    return closest_on_face(
-        seeds.reshape(-1, 3), surfaces.vertices[surfaces.faces], jnp.maximum(face, 0)
-    )
+    return closest_on_face(seeds, surfaces.vertices[surfaces.faces], jnp.maximum(face, 0))
 
 
 # Compiled apart from what comes before: each of its many terms would compute that again.
-@partial(jax.jit, static_argnames="config")
-def _scored(surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config):
-    return best_candidates(
-        surfaces, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
-    )
+_scored = jax.jit(best_candidates, static_argnames="config")

@@ -33,7 +33,6 @@ class Surfaces(NamedTuple):
     Attributes:
         vertices: ``[v, 3]`` in [m].
         normals: ``[v, 3]`` unit, zero where there is none.
-        owner: ``[v]`` which mesh a vertex belongs to.
         faces: ``[f, 3]`` indices of vertices, counted through all meshes.
         face_normals: ``[f, 3]`` unit, zero where there is none.
         areas: ``[f]`` in [m²], zero for padding.
@@ -41,11 +40,11 @@ class Surfaces(NamedTuple):
         com: ``[k, 3]`` centre of mass in [m].
         axes: ``[k, 3, 3]`` principal axes as rows, the longest first.
         diagonal: ``[k]`` of the bounding box, [m].
+        origin: ``[k, 3]`` centre of the box in the frame of the mesh, [m].
     """
 
     vertices: Float[Any, "v 3"]
     normals: Float[Any, "v 3"]
-    owner: Int[Any, " v"]
     faces: Int[Any, "f 3"]
     face_normals: Float[Any, "f 3"]
     areas: Float[Any, " f"]
@@ -53,26 +52,41 @@ class Surfaces(NamedTuple):
     com: Float[Any, "k 3"]
     axes: Float[Any, "k 3 3"]
     diagonal: Float[Any, " k"]
+    origin: Float[Any, "k 3"]
+
+
+class Thumbs(NamedTuple):
+    """Vertices of meshes that candidates are asked for.
+
+    Attributes:
+        points: ``[n, 3]`` in [m].
+        normals: ``[n, 3]`` unit, zero where there is none.
+        owner: ``[n]`` which mesh each belongs to.
+    """
+
+    points: Float[Any, "n 3"]
+    normals: Float[Any, "n 3"]
+    owner: Int[Any, " n"]
 
 
 def opposing_contacts(
-    surfaces: Surfaces, hits: RayHits
-) -> tuple[Float[Array, "v 3"], Float[Array, "v 3"]]:
+    surfaces: Surfaces, thumbs: Thumbs, hits: RayHits
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Points o on the faces that were hit, and the normals there (method §1, step 1).
 
     Where nothing was hit it is the vertex itself: void, but on its own mesh.
     """
     corners = surfaces.vertices[surfaces.faces[hits.face]] * hits.barycentric[:, :, None]
     opposing = corners[:, 0] + corners[:, 1] + corners[:, 2]
-    opposing = jnp.where(hits.hit[:, None], opposing, surfaces.vertices)
+    opposing = jnp.where(hits.hit[:, None], opposing, thumbs.points)
     return opposing, interpolate_normals(
         surfaces.normals, surfaces.faces, hits.face, hits.barycentric
     )
 
 
 def wrap_seeds(
-    opposing: Float[Array, "v 3"], long_axis: Float[Array, "v 3"], offsets: tuple[float, ...]
-) -> Float[Array, "h 2 v 3"]:
+    opposing: Float[Array, "n 3"], long_axis: Float[Array, "n 3"], offsets: tuple[float, ...]
+) -> Float[Array, "h 2 n 3"]:
     """Seeds ``o ± h·ℓ`` (method §1, step 3)."""
     h = jnp.asarray(offsets, opposing.dtype)
     sides = jnp.asarray([1.0, -1.0], opposing.dtype)
@@ -81,11 +95,12 @@ def wrap_seeds(
 
 def best_candidates(
     surfaces: Surfaces,
+    thumbs: Thumbs,
     hits: RayHits,
-    opposing: Float[Array, "v 3"],
-    long_axis: Float[Array, "v 3"],
+    opposing: Float[Array, "n 3"],
+    long_axis: Float[Array, "n 3"],
     nearest: ClosestPoints,
-    on_mesh: Bool[Array, " n"],
+    on_mesh: Bool[Array, " m"],
     span: Float[Array, " 2"],
     friction: Float[Array, ""],
     config: HeatmapConfig,
@@ -94,7 +109,8 @@ def best_candidates(
 
     Args:
         surfaces: The meshes.
-        hits: Where the rays from the vertices along −n_t meet them last.
+        thumbs: Their vertices that candidates are asked for.
+        hits: Where the rays from these along −n_t meet them last.
         opposing: Points o.
         long_axis: ℓ there.
         nearest: The seeds of :func:`wrap_seeds` projected to the mesh, in their order.
@@ -104,14 +120,15 @@ def best_candidates(
         config: Settings.
 
     Returns:
-        Candidates with all but ``score``, which is left 0: see :func:`..steering.weigh`.
+        Candidates in the frame of their mesh, with all but ``score``, which is left 0: see
+        :func:`..steering.weigh`.
     """
-    vertices, normals = surfaces.vertices, surfaces.normals
+    vertices, normals, owner = thumbs
     offsets = jnp.asarray(config.wrap_offsets, vertices.dtype)
     shape = (len(config.wrap_offsets), 2, vertices.shape[0], 3)
     contacts = nearest.point.reshape(shape)
     contact_normals = interpolate_normals(
-        normals, surfaces.faces, nearest.face, nearest.barycentric
+        surfaces.normals, surfaces.faces, nearest.face, nearest.barycentric
     ).reshape(shape)
 
     centre = 0.5 * (contacts[:, 0] + contacts[:, 1])
@@ -119,7 +136,7 @@ def best_candidates(
     width = norm(reach)
     axis = unit(reach)
     pushes = friction_score(-axis[:, None], -contact_normals, friction)
-    com = surfaces.com[surfaces.owner]
+    com = surfaces.com[owner]
     terms = {
         "width": width_score(width, span, config.width_sigma),
         "thumb": friction_score(axis, -normals, friction),
@@ -135,7 +152,7 @@ def best_candidates(
     )
     has_normal = jnp.any(normals != 0.0, axis=-1)
     # A shorter axis is rounding: it has no direction.
-    least_width = _LEAST_WIDTH * surfaces.diagonal[surfaces.owner]
+    least_width = _LEAST_WIDTH * surfaces.diagonal[owner]
     valid = hits.hit & has_normal & (width > least_width)
     valid &= jnp.all(jnp.any(contact_normals != 0.0, axis=-1), axis=1)
     valid &= jnp.all(on_mesh.reshape(shape[:3]), axis=1)
@@ -148,18 +165,20 @@ def best_candidates(
     rows = jnp.arange(vertices.shape[0])
     kept = valid[best, rows]
     up = jnp.asarray([0.0, 0.0, 1.0], vertices.dtype)
+    origin = surfaces.origin[owner]
+    placed = vertices + origin
     return Heatmap(
-        vertices=vertices,
+        vertices=placed,
         normals=jnp.where(has_normal[:, None], normals, up),
         score=jnp.zeros_like(width[0]),
         score_without_com=without_com[best, rows],
-        thumb=vertices,
-        opposing=opposing,
+        thumb=placed,
+        opposing=opposing + origin,
         long_axis=long_axis,
         offset=offsets[best],
-        wrap=jnp.moveaxis(contacts, 2, 1)[best, rows],
+        wrap=jnp.moveaxis(contacts, 2, 1)[best, rows] + origin[:, None],
         wrap_normals=jnp.moveaxis(contact_normals, 2, 1)[best, rows],
-        centre=centre[best, rows],
+        centre=centre[best, rows] + origin,
         axis=axis[best, rows],
         width=width[best, rows],
         valid=kept,

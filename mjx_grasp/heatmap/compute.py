@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,12 @@ from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.mesh import mass_properties, surface_normals
-from mjx_grasp.heatmap.backends import backend_for, brute_candidates, bvh_candidates
+from mjx_grasp.heatmap.backends import (
+    backend_for,
+    brute_candidates,
+    bvh_candidates,
+    start_trees,
+)
 from mjx_grasp.heatmap.candidates import Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
@@ -85,23 +90,25 @@ def compute_heatmaps(
     coms = [None] * len(meshes) if coms is None else coms
     if len(coms) != len(meshes):
         raise InputError("coms", f"{len(coms)}", f"one of each of the {len(meshes)} meshes")
-    prepared = [_prepared(v, f, com) for (v, f), com in zip(meshes, coms, strict=True)]
+    centred = [_Centred.of(vertices, faces) for vertices, faces in meshes]
     hand = _f32(span), _f32(scoring_friction)
 
-    groups = _groups(prepared, config)
     # All are started before the first is waited for.
-    found = [_candidates([prepared[i] for i in group], *hand, config) for group in groups]
-    parts: dict[int, Heatmap] = {}
-    for group, (candidates, cuts) in zip(groups, found, strict=True):
+    started = [
+        (group, *_started([centred[i] for i in group], [coms[i] for i in group], *hand, config))
+        for group in _groups([m.size for m in centred], config)
+    ]
+    parts: dict[int, tuple[Heatmap, np.ndarray]] = {}
+    for group, candidates, cuts, centres in started:
         # Cut on the host: on the device each size of a mesh would compile 20 programs.
-        on_host = jax.device_get(candidates)
-        for i, cut in zip(group, cuts, strict=True):
-            parts[i] = _moved(jax.tree.map(lambda x, cut=cut: x[cut], on_host), prepared[i].origin)
-    heatmaps = jax.device_put([parts[i] for i in range(len(meshes))])
+        on_host = candidates()
+        for i, cut, centre in zip(group, cuts, centres, strict=True):
+            parts[i] = jax.tree.map(lambda x, cut=cut: x[cut], on_host), _f32(centre)
+    heatmaps = jax.device_put([parts[i][0] for i in range(len(meshes))])
     sigma = _f32(config.com_sigma)
     return [
-        h._replace(score=weigh(h.score_without_com, h.thumb, h.axis, _f32(p.com), sigma))
-        for h, p in zip(heatmaps, prepared, strict=True)
+        h._replace(score=weigh(h.score_without_com, h.thumb, h.axis, parts[i][1], sigma))
+        for i, h in enumerate(heatmaps)
     ]
 
 
@@ -124,54 +131,80 @@ def heatmaps_of(
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    """A mesh as :class:`Surfaces` of its own, around the centre of its bounding box."""
+class _Centred:
+    """A mesh around the centre of its bounding box: float32 keeps its digits wherever it lies."""
 
-    surfaces: Surfaces
+    given: np.ndarray
+    """``[v, 3]`` vertices in the mesh's frame, [m]."""
+    vertices: np.ndarray
+    """The same around the centre."""
+    points: np.ndarray
+    """These as float32."""
+    faces: np.ndarray
     origin: np.ndarray
-    """Centre of the box in the mesh's frame [m]."""
-    com: np.ndarray
-    """Centre of mass in the mesh's frame [m]."""
+    """Centre of the box in the mesh's frame, [m]."""
+    diagonal: np.floating
+    """Of the box, [m]."""
+
+    @classmethod
+    def of(cls, vertices, faces) -> _Centred:
+        vertices, faces = _checked(vertices, faces)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        origin = 0.5 * (low + high)
+        centred = vertices - origin
+        return cls(vertices, centred, _f32(centred), faces, origin, np.linalg.norm(high - low))
 
     @property
     def size(self) -> tuple[int, int]:
         """Vertices and faces."""
-        return len(self.surfaces.vertices), len(self.surfaces.faces)
+        return len(self.vertices), len(self.faces)
 
 
-def _candidates(members, span, friction, config) -> tuple[Heatmap, list[Any]]:
-    """Candidates of a group, and where in them each member's lie."""
-    if backend_for(max(m.size[1] for m in members), config) == "bvh":
-        ends = np.cumsum([m.size[0] for m in members])
-        cuts: list[Any] = [np.s_[e - m.size[0] : e] for m, e in zip(members, ends, strict=True)]
-        sizes = [m.size for m in members]
-        return bvh_candidates(_in_a_row(members), sizes, span, friction, config), cuts
-    cuts = [np.s_[k, : m.size[0]] for k, m in enumerate(members)]
-    return brute_candidates(_stacked(members), span, friction, config), cuts
+def _started(
+    members, coms, span, friction, config
+) -> tuple[Callable[[], Heatmap], list[Any], list[np.ndarray]]:
+    """Starts the work on a group of meshes.
+
+    Returns:
+        What waits for the candidates, where in them each mesh's lie, and the centres of mass [m].
+    """
+    sizes = [m.size for m in members]
+    if backend_for(max(faces for _, faces in sizes), config) == "bvh":
+        # First of all: they are built while the rest is made ready.
+        trees = start_trees([m.points for m in members], [m.faces for m in members])
+        surfaces, centres = _surfaces(members, coms)
+        ends = np.cumsum([vertices for vertices, _ in sizes])
+        cuts: list[Any] = [np.s_[e - v : e] for e, (v, _) in zip(ends, sizes, strict=True)]
+        found = bvh_candidates(trees, _in_a_row(surfaces), sizes, span, friction, config)
+    else:
+        surfaces, centres = _surfaces(members, coms)
+        cuts = [np.s_[k, :vertices] for k, (vertices, _) in enumerate(sizes)]
+        found = brute_candidates(_stacked(surfaces), span, friction, config)
+    return found, cuts, centres
 
 
-def _prepared(vertices, faces, com) -> _Prepared:
-    vertices, faces = _checked(vertices, faces)
-    properties = mass_properties(vertices, faces)
-    com = properties.centre if com is None else np.asarray(com, np.float64)
-    # Worked on around its own centre: float32 keeps its digits wherever the mesh lies.
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    origin = 0.5 * (low + high)
-    vertices = vertices - origin
-    normals = surface_normals(vertices, faces)
-    surfaces = Surfaces(
-        vertices=_f32(vertices),
-        normals=_f32(normals.vertices),
-        owner=np.zeros(len(vertices), np.int32),
-        faces=faces,
-        face_normals=_f32(normals.faces),
-        areas=_f32(normals.areas),
-        centroids=_f32(sum(vertices[faces[:, k]] for k in range(3)) / 3.0),
-        com=_f32(com - origin)[None],
-        axes=_f32(properties.axes)[None],
-        diagonal=_f32(np.linalg.norm(high - low))[None],
-    )
-    return _Prepared(surfaces, origin, com)
+def _surfaces(members, coms) -> tuple[list[Surfaces], list[np.ndarray]]:
+    """:class:`Surfaces` of each mesh, and its centre of mass in its frame [m]."""
+    surfaces, centres = [], []
+    for m, com in zip(members, coms, strict=True):
+        properties = mass_properties(m.given, m.faces)
+        com = properties.centre if com is None else np.asarray(com, np.float64)
+        normals = surface_normals(m.vertices, m.faces)
+        made = Surfaces(
+            vertices=m.points,
+            normals=_f32(normals.vertices),
+            faces=m.faces,
+            face_normals=_f32(normals.faces),
+            areas=_f32(normals.areas),
+            centroids=_f32(sum(m.vertices[m.faces[:, k]] for k in range(3)) / 3.0),
+            com=_f32(com - m.origin)[None],
+            axes=_f32(properties.axes)[None],
+            diagonal=_f32(m.diagonal)[None],
+            origin=_f32(m.origin)[None],
+        )
+        surfaces.append(made)
+        centres.append(com)
+    return surfaces, centres
 
 
 def _checked(vertices, faces):
@@ -190,15 +223,14 @@ def _bucket(n: int) -> int:
     return -(-n // step) * step
 
 
-def _groups(prepared: Sequence[_Prepared], config: HeatmapConfig) -> list[list[int]]:
+def _groups(sizes: Sequence[tuple[int, int]], config: HeatmapConfig) -> list[list[int]]:
     """Which meshes are worked on together: those of one backend, if brute also of one size."""
     keyed: dict[object, list[list[int]]] = {}
-    for i, p in enumerate(prepared):
-        vertices, faces = p.size
+    for i, (vertices, faces) in enumerate(sizes):
         backend = backend_for(faces, config)
         key = backend if backend == "bvh" else (_bucket(vertices), _bucket(faces))
         groups = keyed.setdefault(key, [[]])
-        together = sum(prepared[j].size[0] for j in groups[-1]) + vertices
+        together = sum(sizes[j][0] for j in groups[-1]) + vertices
         if groups[-1] and together > _MOST_VERTICES:
             groups.append([])
         groups[-1].append(i)
@@ -216,7 +248,6 @@ def _padded(s: Surfaces) -> Surfaces:
     return s._replace(
         vertices=more(s.vertices, vertices, s.vertices[-1]),
         normals=more(s.normals, vertices, np.float32(0.0)),
-        owner=more(s.owner, vertices, s.owner[-1]),
         faces=more(s.faces, faces, s.faces[-1]),
         face_normals=more(s.face_normals, faces, s.face_normals[-1]),
         areas=more(s.areas, faces, np.float32(0.0)),
@@ -224,20 +255,14 @@ def _padded(s: Surfaces) -> Surfaces:
     )
 
 
-def _in_a_row(members: Sequence[_Prepared]) -> Surfaces:
+def _in_a_row(meshes: Sequence[Surfaces]) -> Surfaces:
     parts, first = [], 0
-    for k, m in enumerate(members):
-        s = m.surfaces
-        parts.append(s._replace(owner=s.owner + np.int32(k), faces=s.faces + np.int32(first)))
-        first += m.size[0]
+    for s in meshes:
+        parts.append(s._replace(faces=s.faces + np.int32(first)))
+        first += len(s.vertices)
     return _padded(Surfaces(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
 
 
-def _stacked(members: Sequence[_Prepared]) -> Surfaces:
-    parts = [_padded(m.surfaces) for m in members]
+def _stacked(meshes: Sequence[Surfaces]) -> Surfaces:
+    parts = [_padded(s) for s in meshes]
     return Surfaces(*(np.stack(columns) for columns in zip(*parts, strict=True)))
-
-
-def _moved(heatmap: Heatmap, origin: np.ndarray) -> Heatmap:
-    places = ("vertices", "thumb", "opposing", "wrap", "centre")
-    return heatmap._replace(**{name: getattr(heatmap, name) + _f32(origin) for name in places})

@@ -123,9 +123,11 @@ def test_map_tiles_is_the_function_of_all_rows(n):
     assert np.allclose(found[0], x.sum(axis=1)) and np.allclose(found[1], 2 * x[:, 0])
 
 
-def test_first_true_finds_the_first_and_says_where_there_is_none():
-    mask = np.array([[0, 1, 1], [0, 0, 0], [1, 0, 1]], bool)
-    assert np.array_equal(tiles.first_true(mask), [1, 3, 0])
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_first_least_is_the_argmin_on_every_platform(platform, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: platform)
+    values = np.array([[3, 1, 1], [np.inf, np.inf, np.inf], [0, 2, 0]], np.float32)
+    assert np.array_equal(tiles.first_least(values), [1, 0, 0])
 
 
 def test_the_backend_can_be_chosen_and_a_wrong_one_is_refused():

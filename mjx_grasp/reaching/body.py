@@ -22,6 +22,8 @@ FINGERS = 3
 PALM = 2 * FINGERS
 # Spheres that cover a box cut its corners by 0.73 of their radius at most.
 _BOX_SPHERE_RADIUS = 0.008
+# Palm spheres within a cube of this edge share a constraint, [m].
+_PALM_CELL = 0.020
 # An arm link with fewer joints than this above it cannot come near table or object.
 _FEWEST_ARM_JOINTS = 4
 # Arm links with this many joints between them can meet.
@@ -32,7 +34,9 @@ _APART = 4
 class Solids:
     """Spheres swept along segments that are fixed to frames; a point has no length.
 
-    Groups share one constraint each; the member that is nearest counts.
+    The members of a group share constraints: one for the nearest point of all, and for segments
+    one more for the nearest of either end. With the nearest point alone, a link beside a surface
+    could rock: while one end is held back, a turn takes the other one in unchecked.
     """
 
     frame: Int[np.ndarray, " n"]
@@ -41,6 +45,16 @@ class Solids:
     radius: Float[np.ndarray, " n"]  # m
     groups: Int[np.ndarray, "g k"]  # members, padded by repetition
     names: tuple[str, ...]  # of the groups
+
+    @property
+    def are_points(self) -> bool:
+        """Whether no segment has a length."""
+        return np.array_equal(self.start, self.end)
+
+    @property
+    def rows(self) -> int:
+        """How many constraints they get against object or obstacles."""
+        return len(self.groups) * (1 if self.are_points else 3)
 
 
 @jax.tree_util.register_static
@@ -110,6 +124,7 @@ def reach_body(robot: RobotSpec) -> ReachBody:
             )
 
     points = [(frame_of[palm], *part) for part in _cover(model, palm)]
+    cells = _cells(points)
     arm = [(frame_of[b], *part) for b in arm_bodies for part in _capsules(model, b)]
     arm_body = [b for b in arm_bodies for _ in _capsules(model, b)]
     depth = _joints_above(model, arm_body)
@@ -129,7 +144,7 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         opposing_axis=np.array(robot.hand.opposing_axis, np.float32),
         grasping=np.array([any(n in f.joints for f in robot.hand.fingers) for n in robot.joints]),
         hand_capsules=_solids(capsules, groups, tuple(names)),
-        palm_points=_solids(points, _quadrants(points), ("palm",) * 4),
+        palm_points=_solids(points, cells, ("palm",) * len(cells)),
         arm_capsules=_solids(
             arm, [[n] for n in far], tuple(model.body(arm_body[n]).name for n in far)
         ),
@@ -215,14 +230,18 @@ def _cover(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarra
     return found
 
 
-def _quadrants(points: list) -> list[list[int]]:
-    """The palm's points in four groups, so that it can rest against something without rocking."""
+def _cells(points: list) -> list[list[int]]:
+    """The palm's points in groups of nearby ones, the cells of a grid.
+
+    Were the members of a group far apart, the nearest one could change to one that a turn of the
+    palm sweeps towards the object unchecked.
+    """
     at = np.array([p[1] for p in points])
-    # Across the two directions in which the palm is largest.
-    i, j = np.argsort(np.ptp(at, axis=0))[1:]
-    middle = 0.5 * (at.max(axis=0) + at.min(axis=0))
-    index = 2 * (at[:, i] > middle[i]) + (at[:, j] > middle[j])
-    return [list(np.flatnonzero(index == k)) for k in range(4)]
+    extent = np.ptp(at, axis=0)
+    parts = np.maximum(np.ceil(extent / _PALM_CELL), 1).astype(int)
+    cell = np.minimum((parts * (at - at.min(axis=0)) / extent).astype(int), parts - 1)
+    index = np.ravel_multi_index(tuple(cell.T), tuple(parts))
+    return [list(np.flatnonzero(index == k)) for k in np.unique(index)]
 
 
 def _padded(groups: list[list]) -> np.ndarray:

@@ -26,6 +26,10 @@ from mjx_grasp.reaching.surroundings import (
 )
 from mjx_grasp.robot.kinematics import Motion
 
+# How the escape speed that is asked for changes from tick to tick, where it cannot and can be had.
+_LESS, _MORE = 0.5, 1.1
+_TINY = 1e-9
+
 
 class Goals(NamedTuple):
     """Where the hand is to be; world frame.
@@ -46,10 +50,12 @@ class Memory(NamedTuple):
 
     Attributes:
         command: ``[joints]`` the last command, [rad/s].
+        escape: Share of the escape speed that is asked for; less while it cannot be had.
         warm: The solver's.
     """
 
     command: Float[Array, " joints"]
+    escape: Float[Array, ""]
     warm: WarmStart
 
 
@@ -86,13 +92,14 @@ class Report(NamedTuple):
 def start_memory(body: ReachBody, obstacles: int) -> Memory:
     """The memory at rest."""
     joints = len(body.lower)
-    return Memory(jnp.zeros(joints), cold_start(joints, row_count(body, obstacles)))
+    warm = cold_start(joints, row_count(body, obstacles))
+    return Memory(jnp.zeros(joints), jnp.float32(1.0), warm)
 
 
 def row_count(body: ReachBody, obstacles: int) -> int:
     """Number of half-spaces."""
     parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
-    around_object = sum(len(s.groups) for s in parts)
+    around_object = sum(s.rows for s in parts)
     table = len(_by_finger(body)) + 1 + len(body.arm_capsules.groups)
     return around_object * (2 if obstacles else 1) + table + len(body.pairs) + len(body.arm_pairs)
 
@@ -112,14 +119,10 @@ def _everything(solids: Solids) -> np.ndarray:
     return np.arange(len(solids.frame))[None]
 
 
-def half_spaces(
+def proximities(
     body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
-) -> tuple[Float[Array, "m joints"], Float[Array, " m"], dict[str, Proximity]]:
-    """``n̂ᵀJ x ≥ min((d_safe − d)/H, v_escape)`` for all that must stay apart.
-
-    Returns:
-        The rows, their bounds in [m/s], and the distances by kind.
-    """
+) -> tuple[dict[str, Proximity], Float[Array, " m"]]:
+    """Distances to all that must stay apart, by kind, and what is asked for of each, [m]."""
     limits = config.limits
     parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
     near = {"object": stacked([object_proximity(body, s, motion, around) for s in parts])}
@@ -136,11 +139,61 @@ def half_spaces(
     safe += [limits.finger_clearance] * len(near["fingers"].distance)
     near["arm"] = arm_proximity(body, motion)
     safe += [limits.object_clearance] * len(near["arm"].distance)
+    return near, jnp.asarray(safe)
+
+
+def half_spaces(
+    body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
+) -> tuple[Float[Array, "m joints"], Float[Array, " m"], dict[str, Proximity]]:
+    """``n̂ᵀJ x ≥ min((d_safe − d)/H, v_escape)`` for all that must stay apart.
+
+    Returns:
+        The rows, their bounds in [m/s], and the distances by kind.
+    """
+    limits = config.limits
+    near, safe = proximities(body, motion, around, config)
     everything = stacked(list(near.values()))
     drift = everything.drift if limits.follow_object else 0.0
-    bound = (jnp.asarray(safe) - everything.distance) / limits.horizon
+    bound = (safe - everything.distance) / limits.horizon
     bound = jnp.minimum(bound - drift, limits.escape_speed)
     return everything.slope, bound, near
+
+
+def scaled_back(
+    body: ReachBody,
+    config: ReachConfig,
+    q: Float[Array, " joints"],
+    x: Float[Array, " joints"],
+    around: Surroundings,
+    near: dict[str, Proximity],
+) -> Float[Array, " joints"]:
+    """A command, less of it where its tick would end too near to something.
+
+    A half-space bounds the point that is nearest now. Another one may be nearest at the end of the
+    tick: there no distance may have become less than is asked for, but for the overrun, and less
+    than if the robot had stood still. What is in contact has no clearance to lose.
+
+    Args:
+        body: The robot.
+        config: Settings.
+        q: Configuration, [rad].
+        x: The command, [rad/s].
+        around: Object and obstacles.
+        near: Distances now.
+    """
+    dt, limits = config.controller.dt, config.limits
+    then, safe = proximities(
+        body,
+        body.kinematics.motion(q + dt * x),
+        around.after(dt) if limits.follow_object else around,
+        config,
+    )
+    now = stacked([near[kind] for kind in then])
+    still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
+    moved = stacked(list(then.values())).distance
+    least = jnp.minimum(still, safe - limits.overrun)
+    share = (still - least) / jnp.maximum(still - moved, _TINY)
+    return jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
 
 
 def table_clearances(body: ReachBody, config: ReachConfig) -> list[float]:
@@ -192,11 +245,14 @@ def command(
     problem, near = _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     solution = solve_qp(problem, memory.warm, config.solver)
     feasible = solution.violation <= config.solver.feasible
-    used = feasible
+    used, escape = feasible, memory.escape
     if config.solver.partial_escape:
         worsens = jnp.max(jnp.minimum(problem.b, 0.0) - problem.A @ solution.x)
         used |= worsens <= config.solver.feasible
+        escape = jnp.where(used, jnp.minimum(_MORE * escape, 1.0), _LESS * escape)
     x = jnp.where(used, solution.x, 0.0)
+    if np.isfinite(config.limits.overrun):
+        x = scaled_back(body, config, q, x, around, near)
     obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
     table = near["table"].distance - jnp.asarray(table_clearances(body, config))
     report = Report(
@@ -212,7 +268,7 @@ def command(
         arm_distance=jnp.min(near["arm"].distance),
         problem=problem,
     )
-    return x, Memory(x, solution.warm), report
+    return x, Memory(x, escape, solution.warm), report
 
 
 def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle):
@@ -261,6 +317,7 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     P = rows.T @ rows + jnp.diag(diagonal)
     linear = -(rows.T @ wanted) - solver.smoothness * memory.command - w_posture * v_posture
     A, b, near = half_spaces(body, motion, around, config)
+    b = jnp.minimum(b, memory.escape * config.limits.escape_speed)
     lower, upper = velocity_box(body, q, config)
     return QP(P, linear, A, b, lower, upper), near
 

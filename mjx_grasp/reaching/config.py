@@ -100,6 +100,9 @@ class LimitConfig:
     """finger to finger [m]"""
     escape_speed: float = 0.35
     """at most, asked for where a clearance is violated [m/s]"""
+    overrun: float = float("inf")
+    """a command is scaled back where a clearance would end its tick this far below what is asked
+    for; infinite in the paper, which bounds the nearest points alone [m]"""
     follow_object: bool = False
     """clearances and targets move with the object's own velocity"""
     object_speed: float = 0.5
@@ -128,7 +131,8 @@ class SolverConfig:
     """a command that violates a half-space by more than this is not used [m/s]"""
     partial_escape: bool = False
     """where not all violated clearances can be restored at once, an answer that makes none of
-    them worse is used, in place of standing still; not in the paper"""
+    them worse is used, in place of standing still, and less is asked for until there is one; not
+    in the paper"""
 
 
 @dataclass(frozen=True)

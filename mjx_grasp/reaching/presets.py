@@ -48,7 +48,7 @@ def _additions() -> dict[str, Preset]:
         "default",
         reach=reach(
             controller={"reselections": 6, "stall_time": 0.5, "handoff_tips": 0.008},
-            limits={"follow_object": True},
+            limits={"follow_object": True, "overrun": 0.0008},
         ),
     )
     return steps
@@ -59,7 +59,8 @@ PRESETS = _additions()
 where not all clearances can be restored at once; ``reachability``: the selection takes a candidate
 for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
 via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff
-when every tip is near."""
+when every tip is near, and a command is scaled back where its tick would end too near to something,
+which the nearest points alone do not rule out."""
 
 
 def preset(name: str) -> Preset:

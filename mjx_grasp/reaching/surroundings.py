@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, unit
@@ -44,6 +45,15 @@ class Surroundings(NamedTuple):
         """An object at rest and nothing else."""
         none = jnp.zeros((0, 4)), jnp.zeros((0, 3))
         return cls(shape, p_wo, R_wo, jnp.zeros(6), *none)
+
+    def after(self, dt: float) -> Surroundings:
+        """The world that much later, if everything moves on as it does, [s]."""
+        centres = self.obstacles[:, :3] + dt * self.obstacle_velocity
+        return self._replace(
+            p_wo=self.p_wo + dt * self.v_wo[:3],
+            R_wo=so3.exp(dt * self.v_wo[3:]) @ self.R_wo,
+            obstacles=jnp.concatenate([centres, self.obstacles[:, 3:]], axis=1),
+        )
 
 
 class Proximity(NamedTuple):
@@ -105,7 +115,8 @@ def obstacle_distance(obstacles: Float[Array, "k 4"], points: Float[Array, "*n 3
 
 
 def _nearest_on_segments(shape: Shape, start, end):
-    """Parameters in [0, 1] of the points of segments nearest to a shape, and their distances.
+    """Parameters in [0, 1] of the points of segments nearest to a shape; distances there and of
+    both ends.
 
     Of both ends, the middle and the lowest point of the parabola through them the nearest; exact
     enough where distances are convex, and never wrong by more than the samples' gaps.
@@ -119,7 +130,7 @@ def _nearest_on_segments(shape: Shape, start, end):
     for share, distance in ((0.0, low), (1.0, high), (0.5, between)):
         nearer = distance < best
         t, best = jnp.where(nearer, share, t), jnp.where(nearer, distance, best)
-    return t, best
+    return t, best, low, high
 
 
 def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int[Array, " g"]:
@@ -131,51 +142,54 @@ def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int
 def object_proximity(
     body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
 ) -> Proximity:
-    """Distances of every group of ``solids`` to the object."""
+    """Distances of every group of ``solids`` to the object: :attr:`Solids.rows` of them."""
     start, end = placed(solids, motion)
-    local_start = to_object(around, start)
-    if np.array_equal(solids.start, solids.end):
-        local, at = local_start, start
-        distance = signed_distance(around.shape, local)
-    else:
-        local_end = to_object(around, end)
-        t, distance = _nearest_on_segments(around.shape, local_start, local_end)
-        t = t[:, None]
-        local, at = local_start + t * (local_end - local_start), start + t * (end - start)
-    pick = _picked(solids.groups, distance - solids.radius)
-    centre = at[pick]
-    exact, normal = distance_and_normal(around.shape, local[pick])
-    normal = _turned(around.R_wo, normal)
-    radius = jnp.asarray(solids.radius)[pick]
-    moves = jnp.asarray(body.moves[solids.frame], centre.dtype)[pick]
-    surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
-    return Proximity(exact - radius, slopes(motion, moves, centre, normal), -dot(normal, surface))
+
+    def rows(at, distance):
+        pick = _picked(solids.groups, distance - solids.radius)
+        centre = at[pick]
+        exact, normal = distance_and_normal(around.shape, to_object(around, centre))
+        normal = _turned(around.R_wo, normal)
+        moves = jnp.asarray(body.moves[solids.frame], centre.dtype)[pick]
+        surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
+        slope = slopes(motion, moves, centre, normal)
+        return Proximity(exact - jnp.asarray(solids.radius)[pick], slope, -dot(normal, surface))
+
+    if solids.are_points:
+        return rows(start, signed_distance(around.shape, to_object(around, start)))
+    ends = (to_object(around, start), to_object(around, end))
+    t, least, low, high = _nearest_on_segments(around.shape, *ends)
+    nearest = start + t[:, None] * (end - start)
+    return stacked([rows(nearest, least), rows(start, low), rows(end, high)])
 
 
 def obstacle_proximity(
     body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
 ) -> Proximity:
-    """Distances of every group of ``solids`` to the nearest obstacle."""
+    """Distances of every group of ``solids`` to the nearest obstacle: :attr:`Solids.rows`."""
     start, end = placed(solids, motion)
     along = end - start
     squared = jnp.maximum(dot(along, along), 1e-12)
-    best = jnp.full(len(solids.frame), jnp.inf, start.dtype)
-    at, normal, velocity = start, jnp.zeros_like(start), jnp.zeros_like(start)
-    for k in range(around.obstacles.shape[0]):
-        centre, size = around.obstacles[k, :3], around.obstacles[k, 3]
-        t = jnp.clip(dot(centre - start, along) / squared, 0.0, 1.0)[:, None]
-        point = start + t * along
-        distance = norm(point - centre) - size
-        nearer = distance < best
-        best = jnp.where(nearer, distance, best)
-        at = jnp.where(nearer[:, None], point, at)
-        normal = jnp.where(nearer[:, None], unit(point - centre), normal)
-        velocity = jnp.where(nearer[:, None], around.obstacle_velocity[k], velocity)
-    distance = best - solids.radius
-    pick = _picked(solids.groups, distance)
-    moves = jnp.asarray(body.moves[solids.frame], at.dtype)[pick]
-    slope = slopes(motion, moves, at[pick], normal[pick])
-    return Proximity(distance[pick], slope, -dot(normal, velocity)[pick])
+    centres, size = around.obstacles[:, :3], around.obstacles[:, 3]
+
+    def rows(share):
+        """At the nearest points, or at one end, of all solids."""
+        if share is None:
+            offset = centres[:, None] - start
+            share = jnp.clip(dot(offset, along) / squared, 0.0, 1.0)
+        points = start + jnp.asarray(share)[..., None] * along
+        points = jnp.broadcast_to(points, (len(centres), *start.shape))
+        gap = norm(points - centres[:, None]) - size[:, None]
+        which, each = jnp.argmin(gap, axis=0), np.arange(len(solids.frame))
+        distance, at = gap[which, each] - solids.radius, points[which, each]
+        pick = _picked(solids.groups, distance)
+        at, which = at[pick], which[pick]
+        normal = unit(at - centres[which])
+        moves = jnp.asarray(body.moves[solids.frame], at.dtype)[pick]
+        drift = -dot(normal, around.obstacle_velocity[which])
+        return Proximity(distance[pick], slopes(motion, moves, at, normal), drift)
+
+    return stacked([rows(share) for share in ((None,) if solids.are_points else (None, 0.0, 1.0))])
 
 
 def table_proximity(

@@ -92,7 +92,11 @@ def test_summary_is_json_with_what_the_issue_names(body):
     record.handoff_error[:6] = 0.004
     record.handoff_contact[:6] = 0.03
     record.handoff_midpoint[:6] = 0.003
-    record.start_distance[:] = 0.05
+    record.start_distance[:] = [0.05, 0.05, 0.05, 0.05, 0.05, 0.004, -0.01, -0.02]
+    record.object_distance[:] = [0.02, 0.0095, 0.0085, 0.02, 0.02, 0.003, 0.001, np.inf]
+    record.speed_ratio[:5] = 0.9
+    record.speed_ratio[5:] = 1.0
+    record.infeasible[7] = 3
     result = summary(body, LimitConfig(), draw_poses(8, 0), record, np.full(8, 0.002))
     text = json.loads(json.dumps(result))
     assert text["rate_percent"]["20"]["3"] == 75.0
@@ -100,6 +104,18 @@ def test_summary_is_json_with_what_the_issue_names(body):
     assert text["solvable_percent"]["10"] == 100.0
     assert text["handoff_mm"]["index"]["median"] == pytest.approx(4.0)
     assert sum(text["failures_percent"].values()) == pytest.approx(25.0)
+    worst = text["limits"]
+    assert [worst[k]["reaches"] for k in ("all", "safe", "near", "in_contact")] == [8, 5, 1, 2]
+    assert worst["safe"]["least_object_distance_mm"] == pytest.approx(8.5)
+    assert worst["safe"]["reaches_1_mm_nearer_than_asked"] == 1
+    assert worst["near"]["least_object_distance_mm"] == pytest.approx(3.0)
+    assert worst["in_contact"]["least_object_distance_mm"] == pytest.approx(1.0)
+    assert worst["safe"]["largest_speed_over_limit"] == pytest.approx(0.9)
+    assert worst["all"]["largest_speed_over_limit"] == pytest.approx(1.0)
+    assert worst["all"]["ticks_infeasible"] == worst["in_contact"]["ticks_infeasible"] == 3
+    # Nothing is said of reaches that there are not.
+    empty = summary(body, LimitConfig(), draw_poses(6, 0), _records(body, 6), None)["limits"]
+    assert empty["near"]["reaches"] == 0 and empty["near"]["least_object_distance_mm"] is None
 
 
 def test_presets_add_one_thing_after_another():
@@ -129,8 +145,11 @@ def test_command_as_typed(tmp_path):
     result = json.loads(out.read_text())
     assert result["poses"] == 4 and result["provenance"]["seed"] == 9
     assert set(result["rate_percent"]) == {"10", "15", "20", "30", "50"}
-    assert result["limits"]["largest_speed_over_limit"] <= 1.0 + 1e-5
-    assert result["limits"]["farthest_beyond_joint_limit_rad"] == 0.0
+    worst = result["limits"]["all"]
+    assert worst["reaches"] == 4
+    assert worst["largest_speed_over_limit"] <= 1.0 + 1e-5
+    assert worst["farthest_beyond_joint_limit_rad"] == 0.0
+    assert result["limits"]["safe"]["reaches_1_mm_nearer_than_asked"] == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 

@@ -51,13 +51,35 @@ def _duals(ab, ac):
     """
     normal = _cross(ab, ac)
     squared = _dot(normal, normal)
-    inverse = jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, squared, 1.0), 0.0)
+    inverse = _inverse(squared)
     to_v, to_w = _cross(ac, normal), _cross(normal, ab)
     return tuple(c * inverse for c in to_v), tuple(c * inverse for c in to_w)
 
 
+def _inverse(squared):
+    """0 for an edge without length."""
+    return jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, squared, 1.0), 0.0)
+
+
+def _squared_distance(p, a, ab, ac, bc, to_v, to_w, inverse_ab, inverse_ac, inverse_bc):
+    """To a triangle, with all that hangs on it alone given: see :func:`_weights`."""
+
+    def to_edge(from_corner, edge, inverse):
+        along = jnp.clip(_dot(from_corner, edge) * inverse, 0.0, 1.0)
+        r = tuple(x - along * e for x, e in zip(from_corner, edge, strict=True))
+        return _dot(r, r)
+
+    ap = tuple(x - y for x, y in zip(p, a, strict=True))
+    bp = tuple(x - y for x, y in zip(ap, ab, strict=True))
+    edges = jnp.minimum(to_edge(ap, ab, inverse_ab), to_edge(ap, ac, inverse_ac))
+    edges = jnp.minimum(edges, to_edge(bp, bc, inverse_bc))
+    v, w = _dot(ap, to_v), _dot(ap, to_w)
+    r = tuple(x - v * y - w * z for x, y, z in zip(ap, ab, ac, strict=True))
+    return jnp.where((v > 0) & (w > 0) & (v + w < 1), _dot(r, r), edges)
+
+
 def _weights(ap, ab, ac, to_v, to_w):
-    """Barycentric weights (v, w) of the nearest point, and the squared distance.
+    """Barycentric weights (v, w) of the nearest point.
 
     Inside where the projection is, else the nearest of the three edges: that holds for degenerate
     triangles too, on which a choice by Voronoi regions fails. All arguments are tuples of
@@ -83,7 +105,7 @@ def _weights(ap, ab, ac, to_v, to_w):
         v, w = jnp.where(nearer, other_v, v), jnp.where(nearer, other_w, w)
         least = jnp.where(nearer, distance, least)
     v, w = jnp.where(inside, inside_v, v), jnp.where(inside, inside_w, w)
-    return v, w, jnp.where(inside, squared_distance(v, w), least)
+    return v, w
 
 
 def _components(x):
@@ -97,7 +119,7 @@ def closest_on_triangle(
     a = triangle[..., 0, :]
     ab, ac = triangle[..., 1, :] - a, triangle[..., 2, :] - a
     sides = _components(ab), _components(ac)
-    v, w, _ = _weights(_components(point - a), *sides, *_duals(*sides))
+    v, w = _weights(_components(point - a), *sides, *_duals(*sides))
     nearest = a + v[..., None] * ab + w[..., None] * ac
     return nearest, jnp.stack([1.0 - v - w, v, w], axis=-1)
 
@@ -114,13 +136,23 @@ def closest_on_mesh(
             likes it if None.
     """
     corner = triangles[:, 0]
-    ab, ac = (tuple(c[None] for c in _components(triangles[:, k] - corner)) for k in (1, 2))
-    # Of the faces alone: worked out once, not for every tile.
-    to_v, to_w = jax.lax.optimization_barrier(_duals(ab, ac))
+    ab, ac = (_components(triangles[:, k] - corner) for k in (1, 2))
+    bc = tuple(c - b for b, c in zip(ab, ac, strict=True))
+    # Of the faces alone: worked out once, not for every tile or query.
+    faces = jax.lax.optimization_barrier(
+        (
+            _components(corner),
+            ab,
+            ac,
+            bc,
+            *_duals(ab, ac),
+            *(_inverse(_dot(e, e)) for e in (ab, ac, bc)),
+        )
+    )
+    faces = jax.tree.map(lambda x: x[None], faces)
 
     def nearest_face(point):
-        ap = tuple(point[:, k, None] - corner[None, :, k] for k in range(3))
-        return first_least(_weights(ap, ab, ac, to_v, to_w)[2])
+        return first_least(_squared_distance(_components(point[:, None]), *faces))
 
     face = map_tiles(nearest_face, (points,), tile or tile_for(triangles.shape[0]))
     return closest_on_face(points, triangles, face)

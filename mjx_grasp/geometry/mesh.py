@@ -75,10 +75,18 @@ def surface_normals(
     )
 
 
+def bounds(vertices: Float[np.ndarray, "v 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of the box around vertices, in their unit."""
+    # Of columns that are contiguous: NumPy reduces them many times faster.
+    rows = np.ascontiguousarray(vertices.T)
+    return rows.min(axis=1), rows.max(axis=1)
+
+
 def corner_rows(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ...]:
     """Positions ``[3, f]`` of the three corners of every face: contiguous rows of x, y and z."""
     rows = np.ascontiguousarray(vertices.T)
-    return tuple(rows[:, faces[:, k]] for k in range(3))
+    # They are indices of vertices: to have that checked again takes four times as long.
+    return tuple(np.take(rows, faces[:, k], axis=1, mode="clip") for k in range(3))
 
 
 def dot_rows(a, b) -> np.ndarray:
@@ -113,11 +121,10 @@ def interpolate_normals(
 
 def is_closed(faces: Int[np.ndarray, "f 3"]) -> bool:
     """Whether every edge is shared by as many faces in one direction as in the other."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     count = int(faces.max(initial=0)) + 1
-    forward = np.sort(edges[:, 0] * count + edges[:, 1])
-    backward = np.sort(edges[:, 1] * count + edges[:, 0])
-    return np.array_equal(forward, backward)
+    tail = faces.T.ravel().astype(np.int32 if count**2 < 2**31 else np.int64)
+    head = np.roll(tail, -len(faces))
+    return np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail))
 
 
 def mass_properties(
@@ -129,11 +136,11 @@ def mass_properties(
     volume, over its surface.
     """
     vertices = np.asarray(vertices, np.float64)
-    origin = vertices.mean(axis=0)
+    low, high = bounds(vertices)
+    origin, diagonal = 0.5 * (low + high), np.linalg.norm(high - low)
     a, b, c = corner_rows(vertices - origin, faces)
     cross = cross_rows(b - a, c - a)
     volumes = dot_rows(a, cross) / 6.0
-    diagonal = np.linalg.norm(np.ptp(vertices, axis=0))
     closed = volumes.sum() > 1e-9 * diagonal**3 and is_closed(faces)
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
     # k corners; a tetrahedron's fourth corner is the origin.
@@ -143,7 +150,8 @@ def mass_properties(
         return MassProperties(origin, np.eye(3), closed)
     sums = a + b + c
     centre = sums @ mass / (k * total)
-    second = sum((mass * p) @ p.T for p in (a, b, c, sums)) / (k * (k + 1) * total)
+    points = np.concatenate([a, b, c, sums], axis=1)
+    second = (np.tile(mass, 4) * points) @ points.T / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
     return MassProperties(centre + origin, axes, closed)

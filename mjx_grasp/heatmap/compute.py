@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.mesh import mass_properties, surface_normals
+from mjx_grasp.geometry.mesh import bounds, corner_rows, mass_properties, surface_normals
 from mjx_grasp.heatmap.backends import (
     backend_for,
     brute_candidates,
@@ -104,10 +104,15 @@ def compute_heatmaps(
         on_host = candidates()
         for i, cut, centre in zip(group, cuts, centres, strict=True):
             parts[i] = jax.tree.map(lambda x, cut=cut: x[cut], on_host), _f32(centre)
-    heatmaps = jax.device_put([parts[i][0] for i in range(len(meshes))])
+    # Every array takes its time: not those that are made of others.
+    made_later: dict[str, Any] = {"thumb": None, "score": None}
+    heatmaps = jax.device_put([parts[i][0]._replace(**made_later) for i in range(len(meshes))])
     sigma = _f32(config.com_sigma)
     return [
-        h._replace(score=weigh(h.score_without_com, h.thumb, h.axis, parts[i][1], sigma))
+        h._replace(
+            thumb=h.vertices,
+            score=weigh(h.score_without_com, h.vertices, h.axis, parts[i][1], sigma),
+        )
         for i, h in enumerate(heatmaps)
     ]
 
@@ -149,7 +154,7 @@ class _Centred:
     @classmethod
     def of(cls, vertices, faces) -> _Centred:
         vertices, faces = _checked(vertices, faces)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        low, high = bounds(vertices)
         origin = 0.5 * (low + high)
         centred = vertices - origin
         return cls(vertices, centred, _f32(centred), faces, origin, np.linalg.norm(high - low))
@@ -196,7 +201,7 @@ def _surfaces(members, coms) -> tuple[list[Surfaces], list[np.ndarray]]:
             faces=m.faces,
             face_normals=_f32(normals.faces),
             areas=_f32(normals.areas),
-            centroids=_f32(sum(m.vertices[m.faces[:, k]] for k in range(3)) / 3.0),
+            centroids=_f32(np.sum(corner_rows(m.vertices, m.faces), axis=0).T / 3.0),
             com=_f32(com - m.origin)[None],
             axes=_f32(properties.axes)[None],
             diagonal=_f32(m.diagonal)[None],

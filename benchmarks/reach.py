@@ -265,15 +265,18 @@ def main(config: ReachBenchmarkConfig) -> None:
     most = max(*config.worlds, config.reaches)
     poses = draw_poses(most, config.seed)
     rows: list[dict[str, Any]] = []
-    cores = len(os.sched_getaffinity(0))
+    made = {
+        "provenance": provenance(config.seed),
+        "processor_cores": len(os.sched_getaffinity(0)),
+        "fingers": FINGERS,
+    }
 
     def done(row: dict[str, Any] | None) -> None:
         if row is None:
             return
         rows.append(row)
         print(json.dumps(row), flush=True)
-        made = {"provenance": provenance(config.seed), "processor_cores": cores}
-        write_json(config.out, {**made, "fingers": FINGERS, "rows": rows})
+        write_json(config.out, {**made, "rows": rows})
 
     few = jax.tree.map(lambda leaf: leaf[: config.reaches], poses)
     for name in ("paper", "default"):

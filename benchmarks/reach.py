@@ -1,7 +1,7 @@
 """Control ticks and whole reaches per second of the reaching controller.
 
 Ticks of the published and of the default controller, for one robot and for thousands of worlds,
-compilation apart; planning; reaches one after another until every tip is within 20 mm; and, where
+compilation apart; reaches one after another until every tip is within 20 mm; and, where
 mink and daqp are installed, the same by mink's differential inverse kinematics on the same
 cylinders towards the standoff targets of the start: tip position tasks with its configuration and
 velocity limits and its collision avoidance of the hand against object and table.
@@ -239,24 +239,17 @@ def own_reaches(
     }
 
 
-def plans_of(
-    settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int
-) -> tuple[Plans | None, dict[str, Any] | None]:
-    """Plans for a few of the poses, repeated for all, and what planning takes."""
+def plans_of(settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int) -> Plans | None:
+    """Plans for a few of the poses, repeated for all: what a tick takes does not depend on them."""
     if not settings.plan:
-        return None, None
+        return None
     library = start_library(reacher.body, settings.plan)
     some = jax.tree.map(lambda leaf: leaf[:few], poses)
-    plan_all(reacher, settings.plan, library, some, few)
-    start = time.perf_counter()
     found = plan_all(reacher, settings.plan, library, some, few)
-    row = {"planning_ms_per_pose": 1e3 * (time.perf_counter() - start) / few, "at_once": few}
-    # What a tick takes does not depend on the plan.
     count = len(poses.radius)
-    plans = jax.tree.map(
+    return jax.tree.map(
         lambda leaf: jnp.asarray(np.resize(leaf, (count, *leaf.shape[1:]))), found.plans
     )
-    return plans, row
 
 
 def main(config: ReachBenchmarkConfig) -> None:
@@ -282,8 +275,7 @@ def main(config: ReachBenchmarkConfig) -> None:
     for name in ("paper", "default"):
         settings = for_sweep(preset(name))
         reacher = Reacher(body, settings.reach, settings.selection)
-        plans, planning = plans_of(settings, reacher, poses, config.reaches)
-        done(planning)
+        plans = plans_of(settings, reacher, poses, config.reaches)
         for worlds in config.worlds:
             some, part = jax.tree.map(lambda leaf, n=worlds: leaf[:n], (poses, plans))
             done(tick_row(reacher, some, part, name, config))

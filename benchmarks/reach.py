@@ -1,17 +1,20 @@
 """Control ticks and whole reaches per second of the reaching controller.
 
 Ticks of the published and of the default controller, for one robot and for thousands of worlds,
-compilation apart; planning; and, where mink and daqp are installed, the reaches of mink's
-differential inverse kinematics on the same cylinders towards the same standoff targets: tip
-position tasks with its configuration and velocity limits and its collision avoidance of the hand
-against object and table, one robot on one core.
+compilation apart; reaches one after another until every tip is within 20 mm; and, where
+mink and daqp are installed, the same by mink's differential inverse kinematics on the same
+cylinders towards the standoff targets of the start: tip position tasks with its configuration and
+velocity limits and its collision avoidance of the hand against object and table.
 
-  python benchmarks/reach.py --out FILE.json
+On one core of a processor:
+
+  taskset -c 0 python benchmarks/reach.py --out FILE.json
 """
 
 from __future__ import annotations
 
 import json
+import os
 import statistics
 import time
 from dataclasses import dataclass
@@ -28,19 +31,22 @@ import tyro
 
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.body import FINGERS, reach_body
-from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.reaching.poses import CylinderPoses, draw_poses
-from mjx_grasp.reaching.presets import for_sweep, preset
+from mjx_grasp.reaching.presets import Preset, for_sweep, preset
 from mjx_grasp.reaching.sweep import candidates_of, plan_all
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.selection import select, start_selection
 
 _TABLE = ((0.35, 0.0, -0.02), (0.65, 0.70, 0.02))
+# A reach has converged when every tip is this near [m], and is given up after this long [s].
+_TOLERANCE, _LONGEST = 0.020, 3.0
 
 
 @dataclass(frozen=True)
@@ -49,14 +55,18 @@ class ReachBenchmarkConfig:
 
     out: Path
     """results file to write (.json)"""
-    worlds: tuple[int, ...] = (1, 256, 4096)
+    worlds: tuple[int, ...] = (1, 256)
     """robots at once [-]"""
     ticks: int = 50
     """of a timed run [-]"""
     repeats: int = 5
-    mink_reaches: int = 16
-    """reaches by mink; 0 leaves it out [-]"""
+    reaches: int = 32
+    """cylinders reached for one after another, by this package and by mink [-]"""
     seed: int = 12
+
+    def __post_init__(self):
+        if self.reaches < 1:
+            raise InputError("reaches", self.reaches, "a whole number from 1")
 
 
 def tick_row(reacher: Reacher, poses: CylinderPoses, plans, name: str, config) -> dict[str, Any]:
@@ -109,7 +119,7 @@ def standoff_goals(reacher: Reacher, poses: CylinderPoses, k: int) -> np.ndarray
     return np.asarray(reacher.standoffs(targets))
 
 
-def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, Any] | None:
+def mink_row(reacher: Reacher, poses: CylinderPoses) -> dict[str, Any] | None:
     """Reaches by mink with daqp, one robot; None where they are not installed."""
     if not (find_spec("daqp") and find_spec("mink")):
         return None
@@ -117,7 +127,7 @@ def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, An
 
     robot, dt = reacher.body.robot, reacher.config.controller.dt
     ticks, converged, seconds = 0, 0, 0.0
-    tolerance, longest = 0.02, 300
+    count = len(poses.radius)
     for k in range(count):
         spec = robot_mjspec(robot)
         spec.worldbody.add_geom(
@@ -162,7 +172,7 @@ def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, An
             ),
         ]
         start = time.perf_counter()
-        for _ in range(longest):
+        for _ in range(round(_LONGEST / dt)):
             try:
                 v = mink.solve_ik(configuration, [*tasks, posture], dt, "daqp", limits=limits)
             except mink.NoSolutionFound:
@@ -170,7 +180,7 @@ def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, An
             configuration.integrate_inplace(v, dt)
             ticks += 1
             tips = [configuration.data.site(f.tip_site).xpos for f in robot.hand.fingers]
-            if np.linalg.norm(np.array(tips) - goals, axis=1).max() < tolerance:
+            if np.linalg.norm(np.array(tips) - goals, axis=1).max() < _TOLERANCE:
                 converged += 1
                 break
         seconds += time.perf_counter() - start
@@ -184,50 +194,95 @@ def mink_row(reacher: Reacher, poses: CylinderPoses, count: int) -> dict[str, An
     }
 
 
-def own_reaches(reacher: Reacher, poses: CylinderPoses, plans, name: str) -> dict[str, Any]:
-    """Reaches of the same length by this package, all at once: 3 s of control each."""
-    row = tick_row(reacher, poses, plans, name, ReachBenchmarkConfig(Path(), ticks=300, repeats=1))
-    row["reaches_per_s"] = row["robot_ticks_per_s"] / 300
-    return row
+def own_reaches(
+    reacher: Reacher, poses: CylinderPoses, plans: Plans | None, name: str
+) -> dict[str, Any]:
+    """Reaches of the same cylinders by this package, one robot after another like mink's."""
+    home, dt = jnp.asarray(reacher.body.home), reacher.config.controller.dt
+    longest = round(_LONGEST / dt)
+
+    @jax.jit
+    def reach(shape, p_wo, R_wo, plans):
+        candidates = candidates_of(reacher, shape)
+
+        def goes_on(carry):
+            return (carry[2] < longest) & (carry[3] >= _TOLERANCE)
+
+        def tick(carry):
+            state, q, ticks, _ = carry
+            state, done = reacher.tick(
+                state, q, shape, candidates, p_wo, R_wo, jnp.zeros((0, 4)), plans
+            )
+            q = q + dt * done.velocity
+            error = jnp.where(done.targets.valid, jnp.max(done.report.error), jnp.inf)
+            return state, q, ticks + 1, error
+
+        state = reacher.start(home, candidates, p_wo, R_wo, plans)
+        start = (state, home, jnp.int32(0), jnp.float32(jnp.inf))
+        return jax.lax.while_loop(goes_on, tick, start)[2:]
+
+    def problem(k):
+        shape = Cylinder(poses.radius[k], poses.half_length[k])
+        return shape, poses.p_wo[k], poses.R_wo[k], jax.tree.map(lambda leaf: leaf[k], plans)
+
+    count = len(poses.radius)
+    jax.block_until_ready(reach(*problem(0)))
+    start = time.perf_counter()
+    ends = [jax.block_until_ready(reach(*problem(k))) for k in range(count)]
+    seconds = time.perf_counter() - start
+    return {
+        "controller": f"{name}, one robot",
+        "reaches": count,
+        "converged_20mm_3s_percent": 100.0 * sum(float(e) < _TOLERANCE for _, e in ends) / count,
+        "ms_per_tick": 1e3 * seconds / sum(int(n) for n, _ in ends),
+        "reaches_per_s": count / seconds,
+    }
+
+
+def plans_of(settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int) -> Plans | None:
+    """Plans for a few of the poses, repeated for all: what a tick takes does not depend on them."""
+    if not settings.plan:
+        return None
+    library = start_library(reacher.body, settings.plan)
+    some = jax.tree.map(lambda leaf: leaf[:few], poses)
+    found = plan_all(reacher, settings.plan, library, some, few)
+    count = len(poses.radius)
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(np.resize(leaf, (count, *leaf.shape[1:]))), found.plans
+    )
 
 
 def main(config: ReachBenchmarkConfig) -> None:
-    """Measures, prints each row, writes the file."""
+    """Measures, prints each row, writes the file after each."""
     body = reach_body(load_robot())
-    most = max(config.worlds)
+    most = max(*config.worlds, config.reaches)
     poses = draw_poses(most, config.seed)
     rows: list[dict[str, Any]] = []
+    made = {
+        "provenance": provenance(config.seed),
+        "processor_cores": len(os.sched_getaffinity(0)),
+        "fingers": FINGERS,
+    }
+
+    def done(row: dict[str, Any] | None) -> None:
+        if row is None:
+            return
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+        write_json(config.out, {**made, "rows": rows})
+
+    few = jax.tree.map(lambda leaf: leaf[: config.reaches], poses)
     for name in ("paper", "default"):
         settings = for_sweep(preset(name))
         reacher = Reacher(body, settings.reach, settings.selection)
-        plans = None
-        if settings.plan:
-            few = min(most, 32)
-            library = start_library(body, settings.plan)
-            some = jax.tree.map(lambda leaf, few=few: leaf[:few], poses)
-            plan_all(reacher, settings.plan, library, some, few)
-            start = time.perf_counter()
-            found = plan_all(reacher, settings.plan, library, some, few)
-            rows.append({"planning_ms_per_pose": 1e3 * (time.perf_counter() - start) / few})
-            # Repeated: what a tick takes does not depend on the plan.
-            plans = jax.tree.map(lambda leaf: jnp.asarray(np.resize(leaf, (most, *leaf.shape[1:]))),
-                                 found.plans)  # fmt: skip
+        plans = plans_of(settings, reacher, poses, config.reaches)
         for worlds in config.worlds:
-            some = jax.tree.map(lambda leaf, n=worlds: leaf[:n], poses)
-            part = jax.tree.map(lambda leaf, n=worlds: leaf[:n], plans)
-            rows.append(tick_row(reacher, some, part, name, config))
-            print(json.dumps(rows[-1]), flush=True)
+            some, part = jax.tree.map(lambda leaf, n=worlds: leaf[:n], (poses, plans))
+            done(tick_row(reacher, some, part, name, config))
+        part = jax.tree.map(lambda leaf: leaf[: config.reaches], plans)
+        done(own_reaches(reacher, few, part, name))
     paper = for_sweep(preset("paper"))
-    reacher = Reacher(body, paper.reach, paper.selection)
-    few = jax.tree.map(lambda leaf: leaf[: max(config.mink_reaches, 1)], poses)
-    rows.append(own_reaches(reacher, few, None, "paper, reaches of 3 s"))
-    other = mink_row(reacher, poses, config.mink_reaches) if config.mink_reaches else None
-    if other:
-        rows.append(other)
-        print(json.dumps(other))
-    write_json(
-        config.out, {"provenance": provenance(config.seed), "fingers": FINGERS, "rows": rows}
-    )
+    done(mink_row(Reacher(body, paper.reach, paper.selection), few))
 
 
 if __name__ == "__main__":

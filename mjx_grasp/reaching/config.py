@@ -162,6 +162,10 @@ class ControllerConfig:
     """without progress after which another plan is taken; the paper waits for the time-out [s]"""
     stall_progress: float = 0.02
     """what counts as progress: less time to go, at full speed [s]"""
+    replan_moved: float = float("inf")
+    """new plans are asked for when the object has come to rest this far from where the present ones
+    were made for, a turn counting with the guide's lever, or when all of them have stalled; never
+    in the paper, which has none [m]"""
     stall_error: float = 0.010
     """a largest tip error below which nothing needs to progress any more [m]"""
 

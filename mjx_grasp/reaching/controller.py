@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Shape
@@ -79,6 +79,8 @@ class ReachState(NamedTuple):
         tries: Re-selections made.
         best: ``[2]`` least time to go so far, of joints to the guide and of tips to targets, [s].
         since: Time since it was improved, [s].
+        stale: Whether the plans no longer fit, and new ones are due.
+        planned_p, planned_R: Object pose that they were made for.
         p_wo, R_wo: Object pose at the last tick.
         obstacles: ``[k, 4]`` at the last tick; NaN before the first.
         outcome: An :class:`Outcome`.
@@ -95,6 +97,9 @@ class ReachState(NamedTuple):
     tries: Int[Array, ""]
     best: Float[Array, " 2"]
     since: Float[Array, ""]
+    stale: Bool[Array, ""]
+    planned_p: Float[Array, " 3"]
+    planned_R: Float[Array, "3 3"]
     p_wo: Float[Array, " 3"]
     R_wo: Float[Array, "3 3"]
     obstacles: Float[Array, "k 4"]
@@ -160,6 +165,9 @@ class Reacher:
             tries=jnp.int32(0),
             best=jnp.full(2, jnp.inf),
             since=jnp.float32(0.0),
+            stale=jnp.asarray(False),
+            planned_p=p_wo,
+            planned_R=R_wo,
             p_wo=p_wo,
             R_wo=R_wo,
             obstacles=jnp.full((obstacles, 4), jnp.nan),
@@ -167,6 +175,18 @@ class Reacher:
             infeasible=jnp.int32(0),
         )
         return state if plans is None else self._take(state, plans, state.plan)
+
+    def adopt(self, state: ReachState, plans: Plans) -> ReachState:
+        """Goes on with new plans for the object's present pose; all tries are open again."""
+        state = state._replace(
+            planned_p=state.p_wo,
+            planned_R=state.R_wo,
+            stale=jnp.asarray(False),
+            tries=jnp.int32(0),
+            best=jnp.full(2, jnp.inf),
+            since=jnp.float32(0.0),
+        )
+        return self._take(state, plans, jnp.int32(0))
 
     def hand(self, motion: Motion) -> Hand:
         """The hand as the selection sees it."""
@@ -246,6 +266,9 @@ class Reacher:
         state = self._advance(
             state, targets, candidates, error, report.midpoint, to_go, moves, plans
         )
+        if plans is not None:
+            number = plans.candidate.shape[0]
+            state = state._replace(stale=self._stale(state, wanted.astray, moves, number))
         return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
 
     def standoffs(self, targets: Targets) -> Float[Array, "3 3"]:
@@ -295,6 +318,16 @@ class Reacher:
         else:
             other = state._replace(selection=_without(state.selection, candidates))
         return jax.tree.map(lambda a, b: jnp.where(again, a, b), other, state)
+
+    def _stale(self, state: ReachState, astray, moves, number: int) -> Bool[Array, ""]:
+        """Whether the object is elsewhere than planned for, or all plans were tried in vain."""
+        config, lever = self.config.controller, self.config.guide.lever
+        turn = norm(so3.log(state.R_wo @ state.planned_R.T))
+        elsewhere = norm(state.p_wo - state.planned_p) + lever * turn > config.replan_moved
+        # While it moves, the present plan's configurations follow it as far as they can.
+        elsewhere &= ~moves | (astray > 0.5)
+        in_vain = (state.tries >= number) & np.isfinite(config.replan_moved)
+        return (state.outcome == Outcome.RUNNING) & (elsewhere | in_vain)
 
     def _take(self, state: ReachState, plans: Plans, number: Int[Array, ""]) -> ReachState:
         """Follows a plan: its candidate, reach direction and order of the wraps."""

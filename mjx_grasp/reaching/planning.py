@@ -6,8 +6,9 @@ and guides selection and reaching in the presets that look ahead.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from mjx_grasp.handoff.ik import robot_arrays
 from mjx_grasp.handoff.starts import build_library
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.config import ReachConfig
-from mjx_grasp.reaching.controller import Plans
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.ik import IkConfig, IkSolution, solve_ik
@@ -180,6 +181,38 @@ def plan_reach(
     # No accelerator shall round products of small matrices to TF32.
     with jax.default_matmul_precision("highest"):
         return _plan(body, config, selection, plan, library, candidates, around, q, key)
+
+
+def plan_again(
+    reacher: Reacher,
+    search: Callable[..., Plans],
+    state: ReachState,
+    plans: Plans,
+    *situation: Any,
+) -> tuple[ReachState, Plans]:
+    """New plans for those of a batch of reaches whose own no longer fit.
+
+    As long as all of them fit, nothing is computed.
+
+    Args:
+        reacher: The controller.
+        search: Makes the plans of one reach from its situation.
+        state: Of all reaches, stacked.
+        plans: That they follow.
+        *situation: What ``search`` wants to know, stacked.
+    """
+
+    def renewed():
+        found = jax.vmap(search)(*situation)
+        adopted = jax.vmap(reacher.adopt)(state, found)
+
+        def chosen(new, old):
+            stale = state.stale.reshape(-1, *[1] * (new.ndim - 1))
+            return jnp.where(stale, new, old)
+
+        return jax.tree.map(chosen, (adopted, found), (state, plans))
+
+    return jax.lax.cond(jnp.any(state.stale), renewed, lambda: (state, plans))
 
 
 def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:

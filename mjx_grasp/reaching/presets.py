@@ -47,7 +47,12 @@ def _additions() -> dict[str, Preset]:
     add(
         "default",
         reach=reach(
-            controller={"reselections": 6, "stall_time": 0.5, "handoff_tips": 0.008},
+            controller={
+                "reselections": 6,
+                "stall_time": 0.5,
+                "handoff_tips": 0.008,
+                "replan_moved": 0.03,
+            },
             limits={"follow_object": True, "overrun": 0.0008},
         ),
     )

@@ -11,7 +11,7 @@ import pytest
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.reaching.controller import Outcome, Reacher
-from mjx_grasp.reaching.planning import plan_reach, start_library
+from mjx_grasp.reaching.planning import plan_again, plan_reach, start_library
 from mjx_grasp.reaching.presets import preset
 from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.selection import cylinder_candidates
@@ -76,12 +76,18 @@ def _run(name, body):
     def candidates_of(shape):
         return cylinder_candidates(shape.radius, shape.half_length, body.robot.hand.span)
 
-    plans = None
+    scenario = jnp.repeat(jnp.arange(len(SCENARIOS)), len(SHAPES))
+    sizes, p, R = (jnp.asarray(np.tile(x, (len(SCENARIOS), *[1] * (x.ndim - 1))))
+                   for x in (SHAPES, CENTRES, ROTATIONS))  # fmt: skip
+    shape = Cylinder(sizes[:, 0], sizes[:, 1])
+
+    plans, search = None, None
     if settings.plan:
         plan = replace(settings.plan, library=20_000)
         library = start_library(body, plan)
 
-        def planned(shape, p, R):
+        def search(shape, p, R, q):
+            around, key = Surroundings.still(shape, p, R), jax.random.key(0)
             return plan_reach(
                 body,
                 config,
@@ -89,36 +95,52 @@ def _run(name, body):
                 plan,
                 library,
                 candidates_of(shape),
-                Surroundings.still(shape, p, R),
-                home,
-                jax.random.key(0),
+                around,
+                q,
+                key,
             ).plans
 
-        shapes = Cylinder(SHAPES[:, 0], SHAPES[:, 1])
-        plans = jax.jit(jax.vmap(planned))(shapes, CENTRES, ROTATIONS)
+        # None to begin with: the first tick makes them.
+        at_home = jnp.tile(home, (len(scenario), 1))
+        blank = jax.eval_shape(jax.vmap(search), shape, p, R, at_home)
+        plans = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank)
 
-    def world(scenario, shape, p, R, plans):
-        candidates = candidates_of(shape)
-        state = reacher.start(home, candidates, p, R, plans, obstacles=1)
+    def world(state, q, scenario, shape, p, R, plans, t):
+        p_t, R_t = _pose(scenario, p, R, t)
+        ball = _obstacle(scenario, p, t)
+        state, done = reacher.tick(state, q, shape, candidates_of(shape), p_t, R_t, ball, plans)
+        report = done.report
+        kept = (q, done.velocity, report.error, report.object_distance)
+        kept += (report.obstacle_distance, report.feasible, done.goals, state.outcome)
+        return state, q + DT * done.velocity, kept
 
-        def tick(carry, t):
-            state, q = carry
-            p_t, R_t = _pose(scenario, p, R, t)
-            ball = _obstacle(scenario, p, t)
-            state, done = reacher.tick(state, q, shape, candidates, p_t, R_t, ball, plans)
-            report = done.report
-            kept = (q, done.velocity, report.error, report.object_distance)
-            kept += (report.obstacle_distance, report.feasible, done.goals, state.outcome)
-            return (state, q + DT * done.velocity), kept
+    def tick(carry, t):
+        state, q, plans = carry
+        if search:
+            state, plans = plan_again(
+                reacher, search, state, plans, shape, state.p_wo, state.R_wo, q
+            )
+        in_axes = (0, 0, 0, 0, 0, 0, 0, None)
+        state, q, kept = jax.vmap(world, in_axes)(state, q, scenario, shape, p, R, plans, t)
+        return (state, q, plans), kept
 
-        return jax.lax.scan(tick, (state, home), jnp.arange(TICKS))[1]
+    @jax.jit
+    def run():
+        def start(shape, p, R, plans):
+            return reacher.start(home, candidates_of(shape), p, R, plans, obstacles=1)
 
-    over_objects = jax.vmap(world, in_axes=(None, 0, 0, 0, 0))
-    over_all = jax.jit(jax.vmap(over_objects, in_axes=(0, None, None, None, None)))
-    shapes = Cylinder(SHAPES[:, 0], SHAPES[:, 1])
-    found = over_all(jnp.arange(len(SCENARIOS)), shapes, CENTRES, ROTATIONS, plans)
+        state = jax.vmap(start)(shape, p, R, plans)
+        state = state._replace(stale=jnp.full(len(scenario), search is not None))
+        q = jnp.tile(home, (len(scenario), 1))
+        return jax.lax.scan(tick, (state, q, plans), jnp.arange(TICKS))[1]
+
     names = ("q", "velocity", "error", "object", "obstacle", "feasible", "goals", "outcome")
-    return dict(zip(names, map(np.asarray, found), strict=True))
+
+    def by_scenario(leaf):
+        leaf = np.moveaxis(np.asarray(leaf), 0, 1)
+        return leaf.reshape(len(SCENARIOS), len(SHAPES), *leaf.shape[1:])
+
+    return dict(zip(names, map(by_scenario, run()), strict=True))
 
 
 def test_limits_hold_on_every_tick(run, body):
@@ -127,15 +149,17 @@ def test_limits_hold_on_every_tick(run, body):
     assert np.all(run["outcome"] == Outcome.RUNNING)
 
 
-def test_clearance_is_held(run):
-    """10 mm are asked for; half of it may go while a jump or a motion is made up for."""
+def test_clearance_is_held(runs):
+    """10 mm are asked for; half of it may go while a motion that is not foreseen is made up for."""
     jumped = SCENARIOS.index("jump")
     others = np.arange(len(SCENARIOS)) != jumped
-    assert run["object"][others].min() > 0.005
-    assert run["obstacle"].min() > 0.005
-    # A jump of 50 mm may put the object into the hand; it is out again within a second.
-    assert run["object"][jumped, :, :100].min() > 0.005
-    assert run["object"][jumped, :, 200:].min() > 0.005
+    for name, least in (("paper", 0.005), ("default", 0.009)):
+        run = runs(name)
+        assert run["object"][others].min() > least, name
+        assert run["obstacle"].min() > least, name
+        # A jump of 50 mm may put the object into the hand; it is out again within a second.
+        assert run["object"][jumped, :, :100].min() > least, name
+        assert run["object"][jumped, :, 200:].min() > least, name
 
 
 def test_targets_follow_the_object(run):
@@ -148,13 +172,10 @@ def test_targets_follow_the_object(run):
 def test_the_hand_arrives_though_the_object_moves(runs):
     """With the default; how often the published controller arrives is measured by the sweep."""
     last = runs("default")["error"][:, :, -50:].max(axis=(2, 3))
-    assert np.all(last[SCENARIOS.index("still")] < 0.01), last
-    # A planned posture need not be within the arm's reach any more after the object has turned or
-    # moved 100 mm; then only a new plan helps, which is not made here.
-    for name in ("drift", "turn", "jump"):
-        assert np.sum(last[SCENARIOS.index(name)] < 0.02) >= 2, (name, last)
-    # The obstacle drives the hand away from above the object; not all are back within 3 s.
-    assert np.any(last[SCENARIOS.index("obstacle")] < 0.02), last
+    pushed = SCENARIOS.index("obstacle")
+    assert np.all(np.delete(last, pushed, axis=0) < 0.02), last
+    # The ball may push the hand along before it; not all are back when it comes to rest.
+    assert np.any(last[pushed] < 0.02), last
 
 
 def test_commands_do_not_jump_without_cause(run):

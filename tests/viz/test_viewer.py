@@ -190,7 +190,14 @@ def test_the_command_serves_and_ends(stored, tmp_path):
     path = tmp_path / "box.npz"
     save_heatmap(path, stored[0].heatmap, stored[0].faces, stored[0].info)
     command = [sys.executable, "-m", "mjx_grasp.view", str(path), "--port", str(free_port())]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # Started in the background, the tests ignore interrupts, and what they start would too.
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
     try:
         line = next(line for line in process.stdout if "shows box" in line)
         with urllib.request.urlopen(line.split()[0], timeout=20) as answer:

@@ -15,10 +15,10 @@ def compile_seconds() -> float:
     return _total
 
 
-def _add(event: str, duration: float, **_: Any) -> None:
+def _add(event: str, duration_secs: float, **_: Any) -> None:
     global _total
     if event == _EVENT:
-        _total += duration
+        _total += duration_secs
 
 
 jax.monitoring.register_event_duration_secs_listener(_add)

@@ -33,6 +33,12 @@ class Layout:
         """Words."""
         return sum(math.prod(shape) for shape in self.shapes)
 
+    @property
+    def structs(self) -> Any:
+        """The tree with shapes and dtypes in the place of arrays."""
+        kinds = zip(self.shapes, self.dtypes, strict=True)
+        return jax.tree.unflatten(self.tree, [jax.ShapeDtypeStruct(*kind) for kind in kinds])
+
     def leaves(self, words: Any) -> list[Any]:
         """The words of each array, in its shape."""
         ends = np.cumsum([math.prod(shape) for shape in self.shapes])

@@ -9,7 +9,6 @@ from jaxtyping import install_import_hook
 
 # Many tests start commands, and these compile the same programs again: once is enough.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".cache/jax"))
-os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2 * 10**9))
 
 # Before anything of the package is imported. Modules whose functions are called with arrays of
 # JAX alone; `closing.env` is left out, for its engine is a protocol that cannot be checked.

@@ -5,18 +5,20 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry.closest import closest_on_face, closest_on_mesh
 from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
-from mjx_grasp.geometry.rays import farthest_hit, hit_on_face
+from mjx_grasp.geometry.rays import RayHits, farthest_hit, hit_on_face
 from mjx_grasp.geometry.tiles import tile_for
 from mjx_grasp.heatmap.candidates import (
+    Candidates,
+    Masses,
     Surfaces,
     Thumbs,
     best_candidates,
@@ -24,7 +26,6 @@ from mjx_grasp.heatmap.candidates import (
     wrap_seeds,
 )
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.packing import Layout, pack, pack_on_device, unpack, unpack_on_device
 
 if TYPE_CHECKING:
@@ -60,44 +61,57 @@ def backend_for(faces: int, config: HeatmapConfig) -> str:
     return "bvh" if platform == "gpu" and faces > _BRUTE_ON_GPU else "brute"
 
 
-def brute_candidates(
-    stacked: Surfaces, span: np.ndarray, friction: np.ndarray, config: HeatmapConfig
-) -> Callable[[], Heatmap]:
-    """Starts on the candidates of meshes of the same padded size, over all faces.
+class Begun(NamedTuple):
+    """Work that needs no masses, done over all faces: of meshes of the same padded size."""
+
+    surfaces: Surfaces
+    hits: RayHits
+    opposing: Float[Array, "g v 3"]
+    normals: Float[Array, "g v 3"]
+    spread: Float[Array, "g v 3"]
+
+
+def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
+    """Starts on meshes of the same padded size: a GPU works while masses are worked out.
 
     Args:
-        stacked: One mesh each along the leading axis ``[g, …]``.
+        stacked: One mesh each along the leading axis ``[g, …]``, of NumPy.
+        config: Settings.
+    """
+    return _begin(pack(stacked), Layout.of(stacked), config, _at_once(stacked, config))
+
+
+def brute_candidates(
+    begun: Begun, masses: Masses, span: np.ndarray, friction: np.ndarray, config: HeatmapConfig
+) -> Callable[[], Candidates]:
+    """Starts on the candidates; gives what waits for them.
+
+    Args:
+        begun: What was done of it.
+        masses: Of the meshes, along the leading axis.
         span: Narrowest and widest grasp, [m].
         friction: μ.
         config: Settings.
     """
-    vertices, faces = stacked.vertices.shape[1], stacked.areas.shape[1]
-    # As many meshes at once as fit beside each other where most is asked: the nearest points.
-    queries = 2 * len(config.wrap_offsets) * vertices
-    at_once = min(stacked.areas.shape[0], max(1, tile_for(faces) // queries))
-    asked = stacked, span, friction
-    program, layout = _brute_program(Layout.of(asked), config, at_once)
-    words = program(pack(asked))
+    given = masses, span, friction
+    settings = Layout.of(given), config, _at_once(begun.surfaces, config)
+    words = _finish(begun, pack(given), *settings)
+    layout = _found(Layout.of(begun), *settings)
     return lambda: unpack(np.asarray(words), layout)
 
 
-@functools.cache
-def _brute_program(asked: Layout, config: HeatmapConfig, at_once: int) -> tuple[Any, Layout]:
-    """From packed arguments to a packed heatmap, compiled; and that one's layout."""
-
-    def run(words):
-        return _brute(*unpack_on_device(words, asked), config, at_once)
-
-    words = jax.ShapeDtypeStruct((asked.size,), np.uint32)
-    return jax.jit(lambda words: pack_on_device(run(words))), Layout.of(jax.eval_shape(run, words))
+def _at_once(stacked: Surfaces, config: HeatmapConfig) -> int:
+    """As many meshes as fit beside each other where most is asked: the nearest points."""
+    vertices, faces = stacked.vertices.shape[1], stacked.areas.shape[1]
+    queries = 2 * len(config.wrap_offsets) * vertices
+    return min(stacked.areas.shape[0], max(1, tile_for(faces) // queries))
 
 
-def _brute(stacked, span, friction, config, at_once):
-    tile = config.tile or tile_for(stacked.areas.shape[1], at_once)
-
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _begin(words, layout, config, at_once):
     def one(surfaces):
-        vertices = surfaces.vertices
-        thumbs = Thumbs(vertices, surfaces.normals, jnp.zeros(len(vertices), int))
+        thumbs, vertices = _all_thumbs(surfaces), surfaces.vertices
+        tile = config.tile or tile_for(len(surfaces.areas), at_once)
         triangles = vertices[surfaces.faces]
         least = config.min_ray_fraction * surfaces.diagonal[0]
         hits = farthest_hit(vertices, -surfaces.normals, triangles, least, tile)
@@ -112,24 +126,56 @@ def _brute(stacked, span, friction, config, at_once):
             min_faces=config.curvature_min_faces,
             tile=tile,
         )
-        long_axis = _axes(surfaces, thumbs, spread, normals, config)
+        return Begun(surfaces, hits, opposing, normals, spread)
+
+    return _mapped(one, unpack_on_device(words, layout), at_once)
+
+
+@partial(jax.jit, static_argnums=(2, 3, 4))
+def _finish(begun, words, layout, config, at_once):
+    return pack_on_device(_finished(begun, unpack_on_device(words, layout), config, at_once))
+
+
+def _finished(begun, given, config, at_once):
+    def one(part):
+        (surfaces, hits, opposing, normals, spread), masses = part
+        thumbs = _all_thumbs(surfaces)
+        tile = config.tile or tile_for(len(surfaces.areas), at_once)
+        long_axis = _axes(masses, thumbs, spread, normals, config)
         seeds = wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
+        triangles = surfaces.vertices[surfaces.faces]
         nearest = jax.lax.optimization_barrier(closest_on_mesh(seeds, triangles, tile))
         on_mesh = jnp.ones(seeds.shape[0], bool)
-        return best_candidates(
-            surfaces, thumbs, hits, opposing, long_axis, nearest, on_mesh, span, friction, config
-        )
+        found = hits, opposing, long_axis, nearest, on_mesh
+        return best_candidates(surfaces, masses, thumbs, *found, span, friction, config)
 
-    if at_once == stacked.areas.shape[0]:
-        return jax.vmap(one)(stacked)
-    return jax.lax.map(one, stacked, batch_size=at_once)
+    masses, span, friction = given
+    return _mapped(one, (begun, masses), at_once)
 
 
-def _axes(surfaces, thumbs, spread, normals, config):
+@functools.cache
+def _found(begun: Layout, given: Layout, config: HeatmapConfig, at_once: int) -> Layout:
+    """The layout of candidates."""
+    run = partial(_finished, config=config, at_once=at_once)
+    return Layout.of(jax.eval_shape(run, begun.structs, given.structs))
+
+
+def _all_thumbs(surfaces: Surfaces) -> Thumbs:
+    """Every vertex, of one mesh."""
+    return Thumbs(surfaces.vertices, surfaces.normals, jnp.zeros(len(surfaces.vertices), jnp.int32))
+
+
+def _mapped(function, stacked, at_once):
+    if at_once == jax.tree.leaves(stacked)[0].shape[0]:
+        return jax.vmap(function)(stacked)
+    return jax.lax.map(function, stacked, batch_size=at_once)
+
+
+def _axes(masses, thumbs, spread, normals, config):
     return axes_of_spread(
         spread,
         normals,
-        surfaces.axes[thumbs.owner],
+        masses.axes[thumbs.owner],
         isotropy=config.curvature_isotropy,
         flatness=config.curvature_flatness,
         parallel_angle=config.parallel_angle,
@@ -139,16 +185,18 @@ def _axes(surfaces, thumbs, spread, normals, config):
 def bvh_candidates(
     trees: MeshTrees,
     surfaces: Surfaces,
+    masses: Masses,
     counts: Sequence[tuple[int, int]],
     span: np.ndarray,
     friction: np.ndarray,
     config: HeatmapConfig,
-) -> Callable[[], Heatmap]:
-    """Starts on the candidates of meshes one after the other, through hierarchies.
+) -> Callable[[], Candidates]:
+    """Starts on the candidates of meshes one after the other; gives what waits for them.
 
     Args:
         trees: Of the meshes.
         surfaces: The same, as arrays of NumPy; padding at the end.
+        masses: Theirs.
         counts: Vertices and faces of each mesh.
         span: Narrowest and widest grasp, [m].
         friction: μ.
@@ -159,9 +207,9 @@ def bvh_candidates(
     vertices = sum(v for v, _ in counts)
     owner = np.repeat(np.arange(len(counts), dtype=np.int32), [v for v, _ in counts])
     owner = np.concatenate([owner, owner[-1:].repeat(len(surfaces.vertices) - vertices)])
-    given = surfaces, Thumbs(surfaces.vertices, surfaces.normals, owner)
+    given = surfaces, masses, Thumbs(surfaces.vertices, surfaces.normals, owner)
     parts = _parts()
-    surfaces, thumbs, directions = _split(pack(given), Layout.of(given), parts)
+    surfaces, masses, thumbs, directions = _split(pack(given), Layout.of(given), parts)
     grids = FaceGrids(
         trees,
         surfaces.centroids,
@@ -177,12 +225,11 @@ def bvh_candidates(
         face = trees.farthest_faces(own.owner, own.points, directions[k])
         hits, opposing, normals, tangents = _met(surfaces, own, directions[k], face, config)
         spread = grids.normal_spread(own.owner, opposing, normals, tangents, asked)
-        long_axis, seeds = _seeded(surfaces, own, opposing, normals, spread, config)
+        long_axis, seeds = _seeded(masses, own, opposing, normals, spread, config)
         near = trees.nearest_faces(own.owner, seeds, face, 2, asked)
         nearest = _projected(surfaces, seeds, near)
-        return _scored(
-            surfaces, own, hits, opposing, long_axis, nearest, near >= 0, span, friction, config
-        )
+        found = hits, opposing, long_axis, nearest, near >= 0
+        return _scored(surfaces, masses, own, *found, span, friction, config)
 
     found = in_threads(part, range(parts))
     return lambda: jax.tree.map(lambda *x: np.concatenate(x), *jax.device_get(found))
@@ -197,12 +244,12 @@ def _parts() -> int:
 
 @partial(jax.jit, static_argnums=(1, 2))
 def _split(words, layout, parts):
-    surfaces, thumbs = unpack_on_device(words, layout)
+    surfaces, masses, thumbs = unpack_on_device(words, layout)
     size = -(-len(thumbs.owner) // parts)
     split = [
         jax.tree.map(lambda x, k=k: x[k * size : (k + 1) * size], thumbs) for k in range(parts)
     ]
-    return surfaces, split, [-t.normals for t in split]
+    return surfaces, masses, split, [-t.normals for t in split]
 
 
 @partial(jax.jit, static_argnames="config")
@@ -215,8 +262,8 @@ def _met(surfaces, thumbs, directions, face, config):
 
 
 @partial(jax.jit, static_argnames="config")
-def _seeded(surfaces, thumbs, opposing, normals, spread, config):
-    long_axis = _axes(surfaces, thumbs, spread, normals, config)
+def _seeded(masses, thumbs, opposing, normals, spread, config):
+    long_axis = _axes(masses, thumbs, spread, normals, config)
     return long_axis, wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
 
 

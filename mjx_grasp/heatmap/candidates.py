@@ -19,7 +19,6 @@ from mjx_grasp.heatmap.scores import (
     separation_score,
     width_score,
 )
-from mjx_grasp.heatmap.steering import Heatmap
 
 # Share of the mesh's diagonal.
 _LEAST_WIDTH = 1e-6
@@ -37,8 +36,6 @@ class Surfaces(NamedTuple):
         face_normals: ``[f, 3]`` unit, zero where there is none.
         areas: ``[f]`` in [m²], zero for padding.
         centroids: ``[f, 3]`` in [m].
-        com: ``[k, 3]`` centre of mass in [m].
-        axes: ``[k, 3, 3]`` principal axes as rows, the longest first.
         diagonal: ``[k]`` of the bounding box, [m].
         origin: ``[k, 3]`` centre of the box in the frame of the mesh, [m].
     """
@@ -49,10 +46,20 @@ class Surfaces(NamedTuple):
     face_normals: Float[Any, "f 3"]
     areas: Float[Any, " f"]
     centroids: Float[Any, "f 3"]
-    com: Float[Any, "k 3"]
-    axes: Float[Any, "k 3 3"]
     diagonal: Float[Any, " k"]
     origin: Float[Any, "k 3"]
+
+
+class Masses(NamedTuple):
+    """How the mass of k meshes is spread.
+
+    Attributes:
+        com: ``[k, 3]`` centre of mass, around the centre of the mesh's box, [m].
+        axes: ``[k, 3, 3]`` principal axes as rows, the longest first.
+    """
+
+    com: Float[Any, "k 3"]
+    axes: Float[Any, "k 3 3"]
 
 
 class Thumbs(NamedTuple):
@@ -67,6 +74,22 @@ class Thumbs(NamedTuple):
     points: Float[Any, "n 3"]
     normals: Float[Any, "n 3"]
     owner: Int[Any, " n"]
+
+
+class Candidates(NamedTuple):
+    """What is found for n thumbs; as in :class:`..steering.Heatmap`."""
+
+    score_without_com: Float[Any, " n"]
+    opposing: Float[Any, "n 3"]
+    long_axis: Float[Any, "n 3"]
+    offset: Float[Any, " n"]
+    wrap: Float[Any, "n 2 3"]
+    wrap_normals: Float[Any, "n 2 3"]
+    centre: Float[Any, "n 3"]
+    axis: Float[Any, "n 3"]
+    width: Float[Any, " n"]
+    valid: Bool[Any, " n"]
+    terms: dict[str, Float[Any, " n"]]
 
 
 def opposing_contacts(
@@ -95,6 +118,7 @@ def wrap_seeds(
 
 def best_candidates(
     surfaces: Surfaces,
+    masses: Masses,
     thumbs: Thumbs,
     hits: RayHits,
     opposing: Float[Array, "n 3"],
@@ -104,11 +128,12 @@ def best_candidates(
     span: Float[Array, " 2"],
     friction: Float[Array, ""],
     config: HeatmapConfig,
-) -> Heatmap:
+) -> Candidates:
     """The scores of all offsets, and of each vertex its best (method §1, steps 3 to 5).
 
     Args:
         surfaces: The meshes.
+        masses: Theirs.
         thumbs: Their vertices that candidates are asked for.
         hits: Where the rays from these along −n_t meet them last.
         opposing: Points o.
@@ -120,8 +145,7 @@ def best_candidates(
         config: Settings.
 
     Returns:
-        Candidates in the frame of their mesh, with all but ``score``, which is left 0: see
-        :func:`..steering.weigh`.
+        Candidates in the frame of their mesh.
     """
     vertices, normals, owner = thumbs
     offsets = jnp.asarray(config.wrap_offsets, vertices.dtype)
@@ -136,7 +160,7 @@ def best_candidates(
     width = norm(reach)
     axis = unit(reach)
     pushes = friction_score(-axis[:, None], -contact_normals, friction)
-    com = surfaces.com[owner]
+    com = masses.com[owner]
     terms = {
         "width": width_score(width, span, config.width_sigma),
         "thumb": friction_score(axis, -normals, friction),
@@ -164,15 +188,9 @@ def best_candidates(
     best = jnp.argmax(ties, axis=0)
     rows = jnp.arange(vertices.shape[0])
     kept = valid[best, rows]
-    up = jnp.asarray([0.0, 0.0, 1.0], vertices.dtype)
     origin = surfaces.origin[owner]
-    placed = vertices + origin
-    return Heatmap(
-        vertices=placed,
-        normals=jnp.where(has_normal[:, None], normals, up),
-        score=jnp.zeros_like(width[0]),
+    return Candidates(
         score_without_com=without_com[best, rows],
-        thumb=placed,
         opposing=opposing + origin,
         long_axis=long_axis,
         offset=offsets[best],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -15,11 +15,12 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.mesh import bounds, corner_rows, mass_properties, surface_normals
 from mjx_grasp.heatmap.backends import (
     backend_for,
+    begin_brute,
     brute_candidates,
     bvh_candidates,
     start_trees,
 )
-from mjx_grasp.heatmap.candidates import Surfaces
+from mjx_grasp.heatmap.candidates import Candidates, Masses, Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
 
@@ -95,26 +96,21 @@ def compute_heatmaps(
 
     # All are started before the first is waited for.
     started = [
-        (group, *_started([centred[i] for i in group], [coms[i] for i in group], *hand, config))
+        (group, _started([centred[i] for i in group], [coms[i] for i in group], *hand, config))
         for group in _groups([m.size for m in centred], config)
     ]
-    parts: dict[int, tuple[Heatmap, np.ndarray]] = {}
-    for group, candidates, cuts, centres in started:
-        # Cut on the host: on the device each size of a mesh would compile 20 programs.
-        on_host = candidates()
-        for i, cut, centre in zip(group, cuts, centres, strict=True):
-            parts[i] = jax.tree.map(lambda x, cut=cut: x[cut], on_host), _f32(centre)
-    # Every array takes its time: not those that are made of others.
-    made_later: dict[str, Any] = {"thumb": None, "score": None}
-    heatmaps = jax.device_put([parts[i][0]._replace(**made_later) for i in range(len(meshes))])
+    heatmaps: dict[int, Heatmap] = {}
     sigma = _f32(config.com_sigma)
-    return [
-        h._replace(
-            thumb=h.vertices,
-            score=weigh(h.score_without_com, h.vertices, h.axis, parts[i][1], sigma),
-        )
-        for i, h in enumerate(heatmaps)
-    ]
+    for group, work in started:
+        # Cut on the host: on the device each size of a mesh would compile 20 programs.
+        on_host = work.candidates()
+        cuts = [jax.tree.map(lambda x, cut=cut: x[cut], on_host) for cut in work.cuts]
+        for i, k, found in zip(group, range(len(group)), jax.device_put(cuts), strict=True):
+            vertices, normals = work.thumbs[k]
+            scores = found.score_without_com, vertices, found.axis, work.centres[k], sigma
+            parts = found._asdict() | {"score": weigh(*scores), "thumb": vertices}
+            heatmaps[i] = Heatmap(vertices=vertices, normals=normals, **parts)
+    return [heatmaps[i] for i in range(len(meshes))]
 
 
 def heatmap_of(obj: ObjectModel, hand: HandSpec, config: HeatmapConfig | None = None) -> Heatmap:
@@ -165,51 +161,73 @@ class _Centred:
         return len(self.vertices), len(self.faces)
 
 
-def _started(
-    members, coms, span, friction, config
-) -> tuple[Callable[[], Heatmap], list[Any], list[np.ndarray]]:
-    """Starts the work on a group of meshes.
+class _Work(NamedTuple):
+    """Work on a group of meshes that has been started.
 
-    Returns:
-        What waits for the candidates, where in them each mesh's lie, and the centres of mass [m].
+    Attributes:
+        candidates: Waits for them.
+        cuts: Where in them each mesh's lie.
+        thumbs: Vertices and normals of each mesh on the device, in its frame.
+        centres: Centres of mass there, [m].
     """
+
+    candidates: Callable[[], Candidates]
+    cuts: list[Any]
+    thumbs: list[Any]
+    centres: list[np.ndarray]
+
+
+def _started(members, coms, span, friction, config) -> _Work:
     sizes = [m.size for m in members]
-    if backend_for(max(faces for _, faces in sizes), config) == "bvh":
+    on_trees = backend_for(max(faces for _, faces in sizes), config) == "bvh"
+    if on_trees:
         # First of all: they are built while the rest is made ready.
         trees = start_trees([m.points for m in members], [m.faces for m in members])
-        surfaces, centres = _surfaces(members, coms)
-        ends = np.cumsum([vertices for vertices, _ in sizes])
+        surfaces = [_surfaces(m) for m in members]
+        masses, centres = _masses(members, coms)
+        row, ends = _in_a_row(surfaces), np.cumsum([vertices for vertices, _ in sizes])
         cuts: list[Any] = [np.s_[e - v : e] for e, (v, _) in zip(ends, sizes, strict=True)]
-        found = bvh_candidates(trees, _in_a_row(surfaces), sizes, span, friction, config)
+        found = bvh_candidates(trees, row, masses, sizes, span, friction, config)
     else:
-        surfaces, centres = _surfaces(members, coms)
+        surfaces = [_surfaces(m) for m in members]
+        begun = begin_brute(_stacked(surfaces), config)
+        masses, centres = _masses(members, coms)
+        each = Masses(*(x[:, None] for x in masses))
         cuts = [np.s_[k, :vertices] for k, (vertices, _) in enumerate(sizes)]
-        found = brute_candidates(_stacked(surfaces), span, friction, config)
-    return found, cuts, centres
+        found = brute_candidates(begun, each, span, friction, config)
+    thumbs = [(s.vertices + s.origin, _some_normals(s.normals)) for s in surfaces]
+    return _Work(found, cuts, jax.device_put(thumbs), [_f32(c) for c in centres])
 
 
-def _surfaces(members, coms) -> tuple[list[Surfaces], list[np.ndarray]]:
-    """:class:`Surfaces` of each mesh, and its centre of mass in its frame [m]."""
-    surfaces, centres = [], []
-    for m, com in zip(members, coms, strict=True):
-        properties = mass_properties(m.given, m.faces)
-        com = properties.centre if com is None else np.asarray(com, np.float64)
-        normals = surface_normals(m.vertices, m.faces)
-        made = Surfaces(
-            vertices=m.points,
-            normals=_f32(normals.vertices),
-            faces=m.faces,
-            face_normals=_f32(normals.faces),
-            areas=_f32(normals.areas),
-            centroids=_f32(np.sum(corner_rows(m.vertices, m.faces), axis=0).T / 3.0),
-            com=_f32(com - m.origin)[None],
-            axes=_f32(properties.axes)[None],
-            diagonal=_f32(m.diagonal)[None],
-            origin=_f32(m.origin)[None],
-        )
-        surfaces.append(made)
-        centres.append(com)
-    return surfaces, centres
+def _some_normals(normals: np.ndarray) -> np.ndarray:
+    """Upwards where there is none."""
+    some = np.any(normals != 0.0, axis=1, keepdims=True)
+    return np.where(some, normals, _f32([0.0, 0.0, 1.0]))
+
+
+def _surfaces(m: _Centred) -> Surfaces:
+    normals = surface_normals(m.vertices, m.faces)
+    return Surfaces(
+        vertices=m.points,
+        normals=_f32(normals.vertices),
+        faces=m.faces,
+        face_normals=_f32(normals.faces),
+        areas=_f32(normals.areas),
+        centroids=_f32(np.sum(corner_rows(m.vertices, m.faces), axis=0).T / 3.0),
+        diagonal=_f32(m.diagonal)[None],
+        origin=_f32(m.origin)[None],
+    )
+
+
+def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
+    """:class:`Masses` of meshes, and their centres of mass in their frames [m]."""
+    found = [mass_properties(m.given, m.faces) for m in members]
+    centres = [
+        p.centre if com is None else np.asarray(com, np.float64)
+        for p, com in zip(found, coms, strict=True)
+    ]
+    around = [c - m.origin for c, m in zip(centres, members, strict=True)]
+    return Masses(com=_f32(around), axes=_f32([p.axes for p in found])), centres
 
 
 def _checked(vertices, faces):

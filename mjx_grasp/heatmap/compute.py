@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +18,7 @@ from mjx_grasp.heatmap.backends import (
     begin_brute,
     brute_candidates,
     bvh_candidates,
+    cut_out,
     start_trees,
 )
 from mjx_grasp.heatmap.candidates import Candidates, Masses, Surfaces
@@ -102,13 +103,9 @@ def compute_heatmaps(
     heatmaps: dict[int, Heatmap] = {}
     sigma = _f32(config.com_sigma)
     for group, work in started:
-        # Cut on the host: on the device each size of a mesh would compile 20 programs.
-        on_host = work.candidates()
-        cuts = [jax.tree.map(lambda x, cut=cut: x[cut], on_host) for cut in work.cuts]
-        for i, k, found in zip(group, range(len(group)), jax.device_put(cuts), strict=True):
-            vertices, normals = work.thumbs[k]
-            scores = found.score_without_com, vertices, found.axis, work.centres[k], sigma
-            parts = found._asdict() | {"score": weigh(*scores), "thumb": vertices}
+        for i, found, (vertices, normals), centre in zip(group, *work, strict=True):
+            score = weigh(found.score_without_com, vertices, found.axis, centre, sigma)
+            parts = found._asdict() | {"score": score, "thumb": vertices}
             heatmaps[i] = Heatmap(vertices=vertices, normals=normals, **parts)
     return [heatmaps[i] for i in range(len(meshes))]
 
@@ -162,41 +159,37 @@ class _Centred:
 
 
 class _Work(NamedTuple):
-    """Work on a group of meshes that has been started.
+    """Work on a group of meshes that a GPU may still be at; an item for each mesh.
 
     Attributes:
-        candidates: Waits for them.
-        cuts: Where in them each mesh's lie.
-        thumbs: Vertices and normals of each mesh on the device, in its frame.
+        candidates: In the frame of the mesh.
+        thumbs: Vertices and normals there.
         centres: Centres of mass there, [m].
     """
 
-    candidates: Callable[[], Candidates]
-    cuts: list[Any]
+    candidates: list[Candidates]
     thumbs: list[Any]
     centres: list[np.ndarray]
 
 
 def _started(members, coms, span, friction, config) -> _Work:
     sizes = [m.size for m in members]
-    on_trees = backend_for(max(faces for _, faces in sizes), config) == "bvh"
-    if on_trees:
+    if backend_for(max(faces for _, faces in sizes), config) == "bvh":
         # First of all: they are built while the rest is made ready.
         trees = start_trees([m.points for m in members], [m.faces for m in members])
         surfaces = [_surfaces(m) for m in members]
         masses, centres = _masses(members, coms)
-        row, ends = _in_a_row(surfaces), np.cumsum([vertices for vertices, _ in sizes])
-        cuts: list[Any] = [np.s_[e - v : e] for e, (v, _) in zip(ends, sizes, strict=True)]
+        row = _in_a_row(surfaces)
         found = bvh_candidates(trees, row, masses, sizes, span, friction, config)
     else:
         surfaces = [_surfaces(m) for m in members]
         begun = begin_brute(_stacked(surfaces), config)
         masses, centres = _masses(members, coms)
         each = Masses(*(x[:, None] for x in masses))
-        cuts = [np.s_[k, :vertices] for k, (vertices, _) in enumerate(sizes)]
-        found = brute_candidates(begun, each, span, friction, config)
+        stacked = brute_candidates(begun, each, span, friction, config)
+        found = [cut_out(stacked, k, vertices) for k, (vertices, _) in enumerate(sizes)]
     thumbs = [(s.vertices + s.origin, _some_normals(s.normals)) for s in surfaces]
-    return _Work(found, cuts, jax.device_put(thumbs), [_f32(c) for c in centres])
+    return _Work(found, jax.device_put(thumbs), [_f32(c) for c in centres])
 
 
 def _some_normals(normals: np.ndarray) -> np.ndarray:

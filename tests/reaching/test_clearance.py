@@ -17,7 +17,7 @@ from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.reaching.sweep import candidates_of, plan_all, sweep
 
 TOLERATED = 0.001
-WORLDS, TICKS = 96, 300
+WORLDS, TICKS = 48, 250
 
 
 def _senseless_plan(reacher, p_wo, R_wo, seed):

@@ -92,6 +92,13 @@ def test_the_stages_before_closing_have_their_tables(root):
             name: {"mean": 6.5, "std": 2.5, "paper": [8.7, 3.5]}
             for name in ("thumb", "index", "middle", "midpoint")
         },
+        "limits": {
+            "safe": {
+                "reaches": 1234,
+                "least_object_distance_mm": 9.3,
+                "largest_speed_over_limit": 0.99,
+            }
+        },
         "provenance": PROVENANCE,
     }
     (results / "reach_sweep_h200.json").write_text(json.dumps(sweep))
@@ -103,7 +110,14 @@ def test_the_stages_before_closing_have_their_tables(root):
     (results / "steering.json").write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
     run(root)
     main = (root / "README.md").read_text()
-    for text in ("91.2 / 78.3", "97.5 %", "80.5 %", "42 s on one a card", "6.5 ± 2.5 (paper 8.7"):
+    for text in (
+        "91.2 / 78.3",
+        "97.5 %",
+        "80.5 %",
+        "42 s on one a card",
+        "6.5 ± 2.5 (paper 8.7",
+        "1,234 reaches",
+    ):
         assert text in main
     detail = (root / "experiments" / "README.md").read_text()
     assert "| mug | by the handle | 51 | 18 |" in detail

@@ -18,11 +18,11 @@ from mjx_grasp.selection import cylinder_candidates
 
 TICKS, DT = 600, 0.01
 SCENARIOS = ("still", "drift", "jump", "turn", "obstacle")
-# An upright and a lying cylinder, neither under the hand at home.
-SHAPES = np.array([[0.03, 0.06], [0.035, 0.05]], np.float32)
-CENTRES = np.array([[0.5, -0.15, 0.06], [0.45, -0.1, 0.035]], np.float32)
+# Upright and lying cylinders, none under the hand at home.
+SHAPES = np.array([[0.03, 0.06], [0.035, 0.05], [0.03, 0.08]], np.float32)
+CENTRES = np.array([[0.5, -0.15, 0.06], [0.45, -0.1, 0.035], [0.6, -0.12, 0.08]], np.float32)
 LYING = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]], np.float32)
-ROTATIONS = np.stack([np.eye(3, dtype=np.float32), LYING])
+ROTATIONS = np.stack([np.eye(3, dtype=np.float32), LYING, np.eye(3, dtype=np.float32)])
 
 
 def _pose(scenario, p, R, tick):

@@ -4,8 +4,7 @@ Each takes the meshes, trees or grids, the first face and the diagonal of each m
 them each query is for (`owner`).
 """
 
-# In a kernel `int(0)` is a variable where `0` is a constant; types are Warp's own.
-# ruff: noqa: UP018, RUF046
+# Types in a kernel are Warp's own.
 # mypy: ignore-errors
 
 import warp as wp
@@ -233,7 +232,6 @@ def wider_spread(
     )  # fmt: skip
     reach = slack * wp.max(radius * radius, wider)
     # In double precision, so that large moments may be subtracted.
-    count = int(0)
     area = wp.float64(0.0)
     sx = wp.float64(0.0)
     sy = wp.float64(0.0)
@@ -248,7 +246,6 @@ def wider_spread(
             a = wp.float64(areas[f])
             x = wp.float64(wp.dot(face_normals[f], t1))
             y = wp.float64(wp.dot(face_normals[f], t2))
-            count += 1
             area += a
             sx += a * x
             sy += a * y

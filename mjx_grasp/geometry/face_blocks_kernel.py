@@ -1,7 +1,6 @@
 """The search for nearest faces in :mod:`.face_blocks`, for CPUs."""
 
-# In a kernel `int(0)` is a variable where `0` is a constant; types are Warp's own.
-# ruff: noqa: UP018, RUF046
+# Types in a kernel are Warp's own.
 # mypy: ignore-errors
 
 import warp as wp

@@ -59,7 +59,7 @@ def test_farthest_hit_agrees_with_embree_on_stand_ins(name):
     check_against_embree(stand_in(name, 1.0), 0.99)
 
 
-@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="needs a folder of scans")
+@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="scans may not be committed")
 def test_farthest_hit_agrees_with_embree_on_every_scan():
     files = sorted(Path(os.environ["MJX_GRASP_SCANS"]).glob("*.obj"))
     assert files

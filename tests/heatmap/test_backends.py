@@ -62,7 +62,7 @@ def test_backends_agree_where_few_faces_are_near():
 
 
 @pytest.mark.long
-@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="needs a folder of scans")
+@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="scans may not be committed")
 def test_backends_agree_on_every_scan():
     files = sorted(Path(os.environ["MJX_GRASP_SCANS"]).glob("*.obj"))
     meshes = [centred(read_mesh(file)[0]) for file in files]

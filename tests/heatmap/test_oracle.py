@@ -73,7 +73,7 @@ def test_a_wrong_score_is_neither_agreement_nor_explained():
 
 
 @pytest.mark.long
-@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="needs a folder of scans")
+@pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="scans may not be committed")
 @pytest.mark.parametrize("backend", ["bvh", "brute"])
 def test_scores_of_every_scan_are_those_of_the_oracle(backend):
     files = sorted(Path(os.environ["MJX_GRASP_SCANS"]).glob("*.obj"))

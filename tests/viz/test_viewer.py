@@ -1,5 +1,6 @@
 """The viewer in a real, headless browser; and the command that starts it."""
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -36,6 +37,11 @@ def missing(what):
     pytest.skip(f"{what} is missing")
 
 
+def need_viser():
+    if importlib.util.find_spec("viser") is None:
+        missing("viser")
+
+
 @pytest.fixture(scope="module")
 def stored():
     mesh = trimesh.creation.box(extents=(0.06, 0.04, 0.16)).subdivide_to_size(0.03)
@@ -52,10 +58,7 @@ def free_port():
 
 @pytest.fixture(scope="module")
 def viewer(stored):
-    try:
-        import viser  # noqa: F401
-    except ImportError:
-        missing("viser")
+    need_viser()
     from mjx_grasp.viz.viewer import Viewer
 
     made = Viewer(*stored, Settings(anchor=(0.0, 0.0, 0.0)), port=free_port())
@@ -186,7 +189,7 @@ def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):
 
 
 def test_the_command_serves_and_ends(stored, tmp_path):
-    pytest.importorskip("viser")
+    need_viser()
     path = tmp_path / "box.npz"
     save_heatmap(path, stored[0].heatmap, stored[0].faces, stored[0].info)
     command = [sys.executable, "-m", "mjx_grasp.view", str(path), "--port", str(free_port())]
@@ -224,7 +227,7 @@ def test_mistakes_are_refused(arguments, text, monkeypatch, capsys):
 
     from mjx_grasp.view import ViewConfig, main
 
-    pytest.importorskip("viser")
+    need_viser()
     monkeypatch.setattr(sys, "argv", ["view", *arguments])
     with pytest.raises(SystemExit) as end:
         run_command(lambda: main(tyro.cli(ViewConfig)))

@@ -31,6 +31,20 @@ class SurfaceNormals(NamedTuple):
     vertices: np.ndarray
 
 
+class Triangles(NamedTuple):
+    """Faces of a mesh as contiguous rows of x, y and z, in double precision: each ``[3, f]``.
+
+    Attributes:
+        a, b, c: Corners in [m].
+        cross: ``(b − a) × (c − a)`` in [m²]: outward, as long as twice the area.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    cross: np.ndarray
+
+
 class MassProperties(NamedTuple):
     """Uniform-density properties of a mesh.
 
@@ -46,26 +60,34 @@ class MassProperties(NamedTuple):
     closed: bool
 
 
+def triangles_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Triangles:
+    """The faces of a mesh, with what their normals and the mesh's mass both hang on."""
+    a, b, c = corner_rows(np.asarray(vertices, np.float64), faces)
+    return Triangles(a, b, c, cross_rows(b - a, c - a))
+
+
 def surface_normals(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+    triangles: Triangles, faces: Int[np.ndarray, "f 3"], vertices: int
 ) -> SurfaceNormals:
     """Normals and areas of a mesh, in double precision on the host.
 
     Not on the device: scattered sums there depend on the order of its threads, and the same mesh
     shall give the same bits. A face without area has no normal and takes no part.
+
+    Args:
+        triangles: The faces.
+        faces: Their indices of vertices.
+        vertices: How many vertices there are.
     """
-    a, b, c = corner_rows(np.asarray(vertices, np.float64), faces)
+    a, b, c, cross = triangles
     edge1, edge2 = b - a, c - a
-    cross = cross_rows(edge1, edge2)
     twice = np.sqrt(dot_rows(cross, cross))
     longest = np.maximum(dot_rows(edge1, edge1), dot_rows(edge2, edge2))
     flat = twice <= _NO_AREA * longest
-    cross[:, flat], twice[flat] = 0.0, 0.0
+    cross, twice = np.where(flat, 0.0, cross), np.where(flat, 0.0, twice)
     index = faces.T.ravel()
     # Opposite faces that share a vertex cancel up to rounding: no direction either.
-    *weighted, total = (
-        np.bincount(index, np.tile(row, 3), len(vertices)) for row in (*cross, twice)
-    )
+    *weighted, total = (np.bincount(index, np.tile(row, 3), vertices) for row in (*cross, twice))
     length = np.sqrt(dot_rows(weighted, weighted))
     length = np.where(length > _NO_DIRECTION * total, length, np.inf)
     return SurfaceNormals(
@@ -137,9 +159,16 @@ def mass_properties(
     """
     vertices = np.asarray(vertices, np.float64)
     low, high = bounds(vertices)
-    origin, diagonal = 0.5 * (low + high), np.linalg.norm(high - low)
-    a, b, c = corner_rows(vertices - origin, faces)
-    cross = cross_rows(b - a, c - a)
+    origin = 0.5 * (low + high)
+    found = mass_about(triangles_of(vertices - origin, faces), faces, np.linalg.norm(high - low))
+    return found._replace(centre=found.centre + origin)
+
+
+def mass_about(
+    triangles: Triangles, faces: Int[np.ndarray, "f 3"], diagonal: float | np.floating
+) -> MassProperties:
+    """:func:`mass_properties` of a mesh around the middle of its box, whose diagonal is in [m]."""
+    a, b, c, cross = triangles
     volumes = dot_rows(a, cross) / 6.0
     closed = volumes.sum() > 1e-9 * diagonal**3 and is_closed(faces)
     # ∫x dm and ∫xxᵀ dm of a simplex with the corners v: m/(k)·Σv and m/(k(k+1))·(Σvvᵀ + ssᵀ), with
@@ -147,14 +176,14 @@ def mass_properties(
     mass, k = (volumes, 4) if closed else (0.5 * np.sqrt(dot_rows(cross, cross)), 3)
     total = mass.sum()
     if not total > 0:
-        return MassProperties(origin, np.eye(3), closed)
+        return MassProperties(np.zeros(3), np.eye(3), closed)
     sums = a + b + c
     centre = sums @ mass / (k * total)
     points = np.concatenate([a, b, c, sums], axis=1)
     second = (np.tile(mass, 4) * points) @ points.T / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
-    return MassProperties(centre + origin, axes, closed)
+    return MassProperties(centre, axes, closed)
 
 
 def _settled(axes: np.ndarray, moments: np.ndarray) -> np.ndarray:

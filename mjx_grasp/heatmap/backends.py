@@ -17,6 +17,7 @@ from mjx_grasp.geometry.rays import RayHits, farthest_hit, hit_on_face
 from mjx_grasp.geometry.tiles import tile_for
 from mjx_grasp.heatmap.candidates import (
     Candidates,
+    Hand,
     Masses,
     Surfaces,
     Thumbs,
@@ -61,13 +62,17 @@ def backend_for(faces: int, config: HeatmapConfig) -> str:
 
 
 class Begun(NamedTuple):
-    """Work that needs no masses, done over all faces: of meshes of the same padded size."""
+    """Work that needs no masses, done over all faces: of meshes of the same padded size.
 
-    surfaces: Surfaces
-    hits: RayHits
-    opposing: Float[Array, "g v 3"]
-    normals: Float[Array, "g v 3"]
-    spread: Float[Array, "g v 3"]
+    Attributes:
+        words: The meshes' :class:`Surfaces` on the device, ``layout`` says where.
+        found: Along the leading axis the rays' hits, points o, normals and their spread there.
+    """
+
+    words: Array
+    layout: Layout
+    at_once: int
+    found: tuple[RayHits, Array, Array, Array]
 
 
 def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
@@ -77,24 +82,23 @@ def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
         stacked: One mesh each along the leading axis ``[g, …]``, of NumPy.
         config: Settings.
     """
-    return _begin(pack(stacked), Layout.of(stacked), config, _at_once(stacked, config))
+    words, layout, at_once = pack(stacked), Layout.of(stacked), _at_once(stacked, config)
+    words = jax.device_put(words)
+    return Begun(words, layout, at_once, _begin(words, layout, at_once, config))
 
 
-def brute_candidates(
-    begun: Begun, masses: Masses, span: np.ndarray, friction: np.ndarray, config: HeatmapConfig
-) -> Candidates:
+def brute_candidates(begun: Begun, masses: Masses, hand: Hand, config: HeatmapConfig) -> Candidates:
     """Goes on to the candidates, which a GPU then works on.
 
     Args:
         begun: What was done of it.
         masses: Of the meshes, along the leading axis.
-        span: Narrowest and widest grasp, [m].
-        friction: μ.
+        hand: What does the grasping.
         config: Settings.
     """
-    given = masses, span, friction
-    at_once = _at_once(begun.surfaces, config)
-    return _finish(begun, pack(given), Layout.of(given), config, at_once)
+    given = masses, hand
+    fixed = begun.layout, Layout.of(given), begun.at_once, config
+    return _finish(begun.words, begun.found, pack(given), *fixed)
 
 
 @partial(jax.jit, static_argnames="vertices")
@@ -111,7 +115,7 @@ def _at_once(stacked: Surfaces, config: HeatmapConfig) -> int:
 
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
-def _begin(words, layout, config, at_once):
+def _begin(words, layout, at_once, config):
     def one(surfaces):
         thumbs, vertices = _all_thumbs(surfaces), surfaces.vertices
         tile = config.tile or tile_for(len(surfaces.areas), at_once)
@@ -129,17 +133,18 @@ def _begin(words, layout, config, at_once):
             min_faces=config.curvature_min_faces,
             tile=tile,
         )
-        return Begun(surfaces, hits, opposing, normals, spread)
+        return hits, opposing, normals, spread
 
     return _mapped(one, unpack_on_device(words, layout), at_once)
 
 
-@partial(jax.jit, static_argnums=(2, 3, 4))
-def _finish(begun, words, layout, config, at_once):
-    masses, span, friction = unpack_on_device(words, layout)
+@partial(jax.jit, static_argnums=(3, 4, 5, 6))
+def _finish(words, begun, more_words, layout, more_layout, at_once, config):
+    surfaces = unpack_on_device(words, layout)
+    masses, hand = unpack_on_device(more_words, more_layout)
 
     def one(part):
-        (surfaces, hits, opposing, normals, spread), masses = part
+        surfaces, (hits, opposing, normals, spread), masses = part
         thumbs = _all_thumbs(surfaces)
         tile = config.tile or tile_for(len(surfaces.areas), at_once)
         long_axis = _axes(masses, thumbs, spread, normals, config)
@@ -148,9 +153,9 @@ def _finish(begun, words, layout, config, at_once):
         nearest = jax.lax.optimization_barrier(closest_on_mesh(seeds, triangles, tile))
         on_mesh = jnp.ones(seeds.shape[0], bool)
         found = hits, opposing, long_axis, nearest, on_mesh
-        return best_candidates(surfaces, masses, thumbs, *found, span, friction, config)
+        return best_candidates(surfaces, masses, thumbs, *found, hand, config)
 
-    return _mapped(one, (begun, masses), at_once)
+    return _mapped(one, (surfaces, begun, masses), at_once)
 
 
 def _all_thumbs(surfaces: Surfaces) -> Thumbs:
@@ -180,8 +185,7 @@ def bvh_candidates(
     surfaces: Surfaces,
     masses: Masses,
     counts: Sequence[tuple[int, int]],
-    span: np.ndarray,
-    friction: np.ndarray,
+    hand: Hand,
     config: HeatmapConfig,
 ) -> list[Candidates]:
     """Candidates of meshes one after the other.
@@ -191,8 +195,7 @@ def bvh_candidates(
         surfaces: The same, as arrays of NumPy; padding at the end.
         masses: Theirs.
         counts: Vertices and faces of each mesh.
-        span: Narrowest and widest grasp, [m].
-        friction: μ.
+        hand: What does the grasping.
         config: Settings.
     """
     from mjx_grasp.geometry.bvh import FaceGrids, in_threads
@@ -222,7 +225,7 @@ def bvh_candidates(
         near = trees.nearest_faces(own.owner, seeds, face, 2, asked)
         nearest = _projected(surfaces, seeds, near)
         found = hits, opposing, long_axis, nearest, near >= 0
-        return _scored(surfaces, masses, own, *found, span, friction, config)
+        return _scored(surfaces, masses, own, *found, hand, config)
 
     # Cut on the host: on the device each size of a mesh would compile a program.
     found = jax.device_get(in_threads(part, range(parts)))

@@ -22,6 +22,8 @@ from mjx_grasp.heatmap.scores import (
 
 # Share of the mesh's diagonal.
 _LEAST_WIDTH = 1e-6
+# Normal of a vertex that has none.
+_UP = (0.0, 0.0, 1.0)
 
 
 class Surfaces(NamedTuple):
@@ -62,6 +64,18 @@ class Masses(NamedTuple):
     axes: Float[Any, "k 3 3"]
 
 
+class Hand(NamedTuple):
+    """What the score asks of a hand.
+
+    Attributes:
+        span: Its narrowest and widest grasp, [m].
+        friction: μ of its description, separate from a scene's.
+    """
+
+    span: Float[Any, " 2"]
+    friction: Float[Any, ""]
+
+
 class Thumbs(NamedTuple):
     """Vertices of meshes that candidates are asked for.
 
@@ -77,9 +91,11 @@ class Thumbs(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """What is found for n thumbs; as in :class:`..steering.Heatmap`."""
+    """What is found for n thumbs; as in :class:`..steering.Heatmap`, which has a score."""
 
+    normals: Float[Any, "n 3"]
     score_without_com: Float[Any, " n"]
+    thumb: Float[Any, "n 3"]
     opposing: Float[Any, "n 3"]
     long_axis: Float[Any, "n 3"]
     offset: Float[Any, " n"]
@@ -125,8 +141,7 @@ def best_candidates(
     long_axis: Float[Array, "n 3"],
     nearest: ClosestPoints,
     on_mesh: Bool[Array, " m"],
-    span: Float[Array, " 2"],
-    friction: Float[Array, ""],
+    hand: Hand,
     config: HeatmapConfig,
 ) -> Candidates:
     """The scores of all offsets, and of each vertex its best (method §1, steps 3 to 5).
@@ -140,8 +155,7 @@ def best_candidates(
         long_axis: ℓ there.
         nearest: The seeds of :func:`wrap_seeds` projected to the mesh, in their order.
         on_mesh: Whether there was anything to project them to.
-        span: Narrowest and widest grasp of the hand, [m].
-        friction: μ of the hand.
+        hand: What does the grasping.
         config: Settings.
 
     Returns:
@@ -159,11 +173,11 @@ def best_candidates(
     reach = centre - vertices
     width = norm(reach)
     axis = unit(reach)
-    pushes = friction_score(-axis[:, None], -contact_normals, friction)
+    pushes = friction_score(-axis[:, None], -contact_normals, hand.friction)
     com = masses.com[owner]
     terms = {
-        "width": width_score(width, span, config.width_sigma),
-        "thumb": friction_score(axis, -normals, friction),
+        "width": width_score(width, hand.span, config.width_sigma),
+        "thumb": friction_score(axis, -normals, hand.friction),
         "wrap": 0.5 * (pushes[:, 0] + pushes[:, 1]),
         "coherence": coherence_score(
             contact_normals[:, 0], contact_normals[:, 1], config.coherence_angle
@@ -190,7 +204,9 @@ def best_candidates(
     kept = valid[best, rows]
     origin = surfaces.origin[owner]
     return Candidates(
+        normals=jnp.where(has_normal[:, None], normals, jnp.asarray(_UP, normals.dtype)),
         score_without_com=without_com[best, rows],
+        thumb=vertices + origin,
         opposing=opposing + origin,
         long_axis=long_axis,
         offset=offsets[best],

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.mesh import bounds, corner_rows, mass_properties, surface_normals
+from mjx_grasp.geometry.mesh import (
+    Triangles,
+    bounds,
+    mass_about,
+    surface_normals,
+    triangles_of,
+)
 from mjx_grasp.heatmap.backends import (
     backend_for,
     begin_brute,
@@ -21,7 +26,7 @@ from mjx_grasp.heatmap.backends import (
     cut_out,
     start_trees,
 )
-from mjx_grasp.heatmap.candidates import Candidates, Masses, Surfaces
+from mjx_grasp.heatmap.candidates import Candidates, Hand, Masses, Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
 
@@ -93,20 +98,16 @@ def compute_heatmaps(
     if len(coms) != len(meshes):
         raise InputError("coms", f"{len(coms)}", f"one of each of the {len(meshes)} meshes")
     centred = [_Centred.of(vertices, faces) for vertices, faces in meshes]
-    hand = _f32(span), _f32(scoring_friction)
+    hand = Hand(_f32(span), _f32(scoring_friction))
 
     # All are started before the first is waited for.
-    started = [
-        (group, _started([centred[i] for i in group], [coms[i] for i in group], *hand, config))
-        for group in _groups([m.size for m in centred], config)
-    ]
     heatmaps: dict[int, Heatmap] = {}
     sigma = _f32(config.com_sigma)
-    for group, work in started:
-        for i, found, (vertices, normals), centre in zip(group, *work, strict=True):
-            score = weigh(found.score_without_com, vertices, found.axis, centre, sigma)
-            parts = found._asdict() | {"score": score, "thumb": vertices}
-            heatmaps[i] = Heatmap(vertices=vertices, normals=normals, **parts)
+    for group in _groups([m.size for m in centred], config):
+        work = _started([centred[i] for i in group], [coms[i] for i in group], hand, config)
+        for i, found, com in zip(group, *work, strict=True):
+            score = weigh(found.score_without_com, found.thumb, found.axis, _f32(com), sigma)
+            heatmaps[i] = Heatmap(vertices=found.thumb, score=score, **found._asdict())
     return [heatmaps[i] for i in range(len(meshes))]
 
 
@@ -132,12 +133,10 @@ def heatmaps_of(
 class _Centred:
     """A mesh around the centre of its bounding box: float32 keeps its digits wherever it lies."""
 
-    given: np.ndarray
-    """``[v, 3]`` vertices in the mesh's frame, [m]."""
     vertices: np.ndarray
-    """The same around the centre."""
+    """``[v, 3]`` around the centre, [m]."""
     points: np.ndarray
-    """These as float32."""
+    """The same as float32."""
     faces: np.ndarray
     origin: np.ndarray
     """Centre of the box in the mesh's frame, [m]."""
@@ -150,7 +149,12 @@ class _Centred:
         low, high = bounds(vertices)
         origin = 0.5 * (low + high)
         centred = vertices - origin
-        return cls(vertices, centred, _f32(centred), faces, origin, np.linalg.norm(high - low))
+        return cls(centred, _f32(centred), faces, origin, np.linalg.norm(high - low))
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """Its faces, around the centre."""
+        return triangles_of(self.vertices, self.faces)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -158,55 +162,31 @@ class _Centred:
         return len(self.vertices), len(self.faces)
 
 
-class _Work(NamedTuple):
-    """Work on a group of meshes that a GPU may still be at; an item for each mesh.
-
-    Attributes:
-        candidates: In the frame of the mesh.
-        thumbs: Vertices and normals there.
-        centres: Centres of mass there, [m].
-    """
-
-    candidates: list[Candidates]
-    thumbs: list[Any]
-    centres: list[np.ndarray]
-
-
-def _started(members, coms, span, friction, config) -> _Work:
+def _started(members, coms, hand, config) -> tuple[list[Candidates], list[np.ndarray]]:
+    """Candidates that a GPU may still be at, and centres of mass in the meshes' frames [m]."""
     sizes = [m.size for m in members]
     if backend_for(max(faces for _, faces in sizes), config) == "bvh":
         # First of all: they are built while the rest is made ready.
         trees = start_trees([m.points for m in members], [m.faces for m in members])
-        surfaces = [_surfaces(m) for m in members]
+        row = _in_a_row([_surfaces(m) for m in members])
         masses, centres = _masses(members, coms)
-        row = _in_a_row(surfaces)
-        found = bvh_candidates(trees, row, masses, sizes, span, friction, config)
-    else:
-        surfaces = [_surfaces(m) for m in members]
-        begun = begin_brute(_stacked(surfaces), config)
-        masses, centres = _masses(members, coms)
-        each = Masses(*(x[:, None] for x in masses))
-        stacked = brute_candidates(begun, each, span, friction, config)
-        found = [cut_out(stacked, k, vertices) for k, (vertices, _) in enumerate(sizes)]
-    thumbs = [(s.vertices + s.origin, _some_normals(s.normals)) for s in surfaces]
-    return _Work(found, jax.device_put(thumbs), [_f32(c) for c in centres])
-
-
-def _some_normals(normals: np.ndarray) -> np.ndarray:
-    """Upwards where there is none."""
-    some = np.any(normals != 0.0, axis=1, keepdims=True)
-    return np.where(some, normals, _f32([0.0, 0.0, 1.0]))
+        return bvh_candidates(trees, row, masses, sizes, hand, config), centres
+    begun = begin_brute(_stacked([_surfaces(m) for m in members]), config)
+    masses, centres = _masses(members, coms)
+    stacked = brute_candidates(begun, Masses(*(x[:, None] for x in masses)), hand, config)
+    return [cut_out(stacked, k, vertices) for k, (vertices, _) in enumerate(sizes)], centres
 
 
 def _surfaces(m: _Centred) -> Surfaces:
-    normals = surface_normals(m.vertices, m.faces)
+    normals = surface_normals(m.triangles, m.faces, len(m.vertices))
+    a, b, c, _ = m.triangles
     return Surfaces(
         vertices=m.points,
         normals=_f32(normals.vertices),
         faces=m.faces,
         face_normals=_f32(normals.faces),
         areas=_f32(normals.areas),
-        centroids=_f32(np.sum(corner_rows(m.vertices, m.faces), axis=0).T / 3.0),
+        centroids=_f32((a + b + c).T / 3.0),
         diagonal=_f32(m.diagonal)[None],
         origin=_f32(m.origin)[None],
     )
@@ -214,10 +194,10 @@ def _surfaces(m: _Centred) -> Surfaces:
 
 def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
     """:class:`Masses` of meshes, and their centres of mass in their frames [m]."""
-    found = [mass_properties(m.given, m.faces) for m in members]
+    found = [mass_about(m.triangles, m.faces, m.diagonal) for m in members]
     centres = [
-        p.centre if com is None else np.asarray(com, np.float64)
-        for p, com in zip(found, coms, strict=True)
+        p.centre + m.origin if com is None else np.asarray(com, np.float64)
+        for p, m, com in zip(found, members, coms, strict=True)
     ]
     around = [c - m.origin for c, m in zip(centres, members, strict=True)]
     return Masses(com=_f32(around), axes=_f32([p.axes for p in found])), centres
@@ -253,32 +233,34 @@ def _groups(sizes: Sequence[tuple[int, int]], config: HeatmapConfig) -> list[lis
     return [group for groups in keyed.values() for group in groups]
 
 
-def _padded(s: Surfaces) -> Surfaces:
-    """Filled up: vertices without a normal, and copies of the last face that have no area."""
-    vertices = _bucket(len(s.vertices)) - len(s.vertices)
-    faces = _bucket(len(s.faces)) - len(s.faces)
-
-    def more(array, count, fill):
-        return np.concatenate([array, np.broadcast_to(fill, (count, *array.shape[1:]))])
-
-    return s._replace(
-        vertices=more(s.vertices, vertices, s.vertices[-1]),
-        normals=more(s.normals, vertices, np.float32(0.0)),
-        faces=more(s.faces, faces, s.faces[-1]),
-        face_normals=more(s.face_normals, faces, s.face_normals[-1]),
-        areas=more(s.areas, faces, np.float32(0.0)),
-        centroids=more(s.centroids, faces, s.centroids[-1]),
-    )
-
-
 def _in_a_row(meshes: Sequence[Surfaces]) -> Surfaces:
+    """One mesh after the other, filled up at the end."""
     parts, first = [], 0
     for s in meshes:
         parts.append(s._replace(faces=s.faces + np.int32(first)))
         first += len(s.vertices)
-    return _padded(Surfaces(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
+    whole = Surfaces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Surfaces(*(block[0] for block in _stacked([whole])))
 
 
 def _stacked(meshes: Sequence[Surfaces]) -> Surfaces:
-    parts = [_padded(s) for s in meshes]
-    return Surfaces(*(np.stack(columns) for columns in zip(*parts, strict=True)))
+    """Meshes of one padded size along a leading axis.
+
+    Filled up with vertices without a normal, and with copies of the last face that have no area.
+    """
+    vertices, faces = _bucket(len(meshes[0].vertices)), _bucket(len(meshes[0].faces))
+    rows = Surfaces(vertices, vertices, faces, faces, faces, faces, None, None)
+    fills = Surfaces(*(None,) * len(Surfaces._fields))._replace(normals=0.0, areas=0.0)
+    columns = zip(*meshes, strict=True)
+    return Surfaces(*(_block(*given) for given in zip(columns, rows, fills, strict=True)))
+
+
+def _block(arrays: Sequence[np.ndarray], rows: int | None, fill: float | None) -> np.ndarray:
+    """Arrays along a leading axis, each filled up to so many rows: with its last one if None."""
+    if rows is None:
+        return np.stack(arrays)
+    block = np.empty((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
+    for part, array in zip(block, arrays, strict=True):
+        part[: len(array)] = array
+        part[len(array) :] = array[-1] if fill is None else fill
+    return block

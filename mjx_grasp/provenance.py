@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+# What commands make, tables and pictures: no part of what made them.
+_RESULTS = (":(exclude)experiments/results", ":(exclude)docs")
 _PACKAGES = ("mjx_grasp", "jax", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy", "trimesh")
 
 
@@ -45,7 +47,10 @@ def command_line() -> str:
 
 
 def git_revision() -> str:
-    """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one."""
+    """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one.
+
+    Results do not count as changes: the one that is being made lies there while it is made.
+    """
 
     def git(*args: str) -> str:
         return subprocess.run(
@@ -54,7 +59,7 @@ def git_revision() -> str:
 
     try:
         revision = git("rev-parse", "HEAD")
-        return revision + ("-dirty" if git("status", "--porcelain") else "")
+        return revision + ("-dirty" if git("status", "--porcelain", "--", ".", *_RESULTS) else "")
     except (OSError, subprocess.CalledProcessError):
         stamp = _root() / "REVISION"
         return stamp.read_text().strip() if stamp.is_file() else "unknown"

@@ -36,6 +36,9 @@ def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatc
     git(tmp_path, "commit", "-qm", "first")
     clean = module.git_revision()
     assert len(clean) == 40 and not clean.endswith("-dirty")
+    (tmp_path / "experiments" / "results").mkdir(parents=True)
+    (tmp_path / "experiments" / "results" / "five.json").write_text("{}")
+    assert module.git_revision() == clean
     (tmp_path / "a").write_text("2")
     assert module.git_revision() == clean + "-dirty"
 

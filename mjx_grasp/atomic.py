@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mjx_grasp.errors import InputError
+
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
@@ -29,6 +31,27 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(field: str, path: str | Path) -> None:
+    """Makes sure that a result can be written, before the work that it is the result of.
+
+    Args:
+        field: The setting that names it.
+        path: The file that will be written; folders to it are made then.
+
+    Raises:
+        InputError: It cannot be.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        folder = next(p for p in path.absolute().parents if p.exists())
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        expected = f"a file that can be written ({error.strerror})"
+        raise InputError(field, str(path), expected) from None
 
 
 def write_json(path: str | Path, content: Any) -> None:

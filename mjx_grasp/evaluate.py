@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
@@ -166,6 +167,7 @@ def states_of(handoffs: HandoffSet, names: Sequence[str], part: str) -> HandoffS
 def main(config: EvaluateConfig) -> None:
     """The command."""
     console = Console(stderr=True)
+    check_writable("--out", config.out)
     policy = None
     if config.controller == "policy":
         policy = load_policy(config.policy or asset_path("policy.npz"))

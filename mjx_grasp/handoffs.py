@@ -8,6 +8,7 @@ from dataclasses import asdict
 import tyro
 from rich.console import Console
 
+from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
@@ -32,9 +33,11 @@ def make_handoffs(
         console: Where progress is shown; nowhere if None.
 
     Raises:
-        InputError: An unknown object or robot, or a robot that does not reach the table.
+        InputError: An unknown object or robot, a robot that does not reach the table, or a file
+            that cannot be written.
         FileError: An object's scan, the robot's description or the set to update cannot be read.
     """
+    check_writable("--out", config.out)
     names = resolve(config.objects)
     sets, reports, earlier = [], [], None
     if config.update is not None:

@@ -22,6 +22,7 @@ import trimesh
 import tyro
 from rich.console import Console
 
+from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.geometry.mesh import mass_properties
@@ -84,6 +85,8 @@ class HeatmapsConfig:
             raise InputError("--anchor and --instruction", both, "one of them at most")
         if self.anchor is not None and not np.isfinite(self.anchor).all():
             raise InputError("--anchor", self.anchor, "three finite numbers [m]")
+        if self.between_contacts and self.anchor is None and self.instruction is None:
+            raise InputError("--between-contacts", True, "an --anchor or an --instruction with it")
         if self.span is not None and not 0 < self.span[0] < self.span[1]:
             raise InputError("--span", self.span, "two lengths in ascending order [m]")
         for name in ("sigma", "friction"):
@@ -122,6 +125,7 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
     files = find_meshes(config.mesh)
     if config.out.exists() and not config.out.is_dir():
         raise FileError(config.out, "a file", "a folder, or a name for a new one")
+    check_writable("--out", config.out / "contact_sheet.png")
     span, friction = _hand(config)
     rows: dict[str, Row] = {}
     cells = []

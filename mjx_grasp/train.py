@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 
 from mjx_grasp.after_training import evaluate_and_report
-from mjx_grasp.atomic import replacing
+from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world, has_gpu
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
@@ -195,6 +195,7 @@ def _open_run(config: TrainConfig) -> tuple[Path, Path | None]:
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
+    check_writable("--out", folder / "config.json")
     with replacing(folder / "config.json") as temporary:
         temporary.write_text(json.dumps(to_json(config), indent=2))
     with replacing(folder / "provenance.json") as temporary:

@@ -183,6 +183,8 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         (["{folder}", "--span", "0.09", "0.02"], "--span"),
         (["{folder}", "--friction", "0"], "--friction"),
         (["{folder}", "--sigma", "-1"], "--sigma"),
+        (["{folder}", "--between-contacts"], "an --anchor or an --instruction"),
+        (["{folder}", "--out", "{folder}/slab.obj/maps"], "that can be written"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),
         (["{folder}", "--edge", "-1"], "--edge"),

@@ -91,7 +91,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "tables": _all_tables(results),
             "runs": _runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "seeds": stage_tables.seeds(
-                [folder / "eight_mjx.json", *sorted((folder / "seeds").glob("*.json"))]
+                [
+                    *sorted(folder.glob("eight_*.json")),
+                    *sorted((folder / "seeds").glob("*.json")),
+                ]
             ),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),

@@ -11,14 +11,12 @@ from typing import Any
 
 import tyro
 from rich.console import Console
+from stage_tables import ablation_table
 
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.presets import PRESETS
-from mjx_grasp.reaching.results import PAPER_RATE
-from mjx_grasp.reaching.sweep import BUDGETS
 from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig, run_sweep
 
 _KEPT = (
@@ -43,25 +41,6 @@ class AblationConfig:
     chunk: int | None = None
 
 
-def table(rows: dict[str, dict[str, Any]]) -> Table:
-    """Rates within 20 mm and 10 mm, and median errors of the wraps at handoff."""
-    header = ("", *(f"{t} mm, {b} s" for t in (20, 10) for b in (1, 3, 7)), "wraps mm", "seconds")
-    cells = []
-    for name, row in rows.items():
-        rate = [row["rate_percent"][t][b] for t in ("20", "10") for b in ("1", "3", "7")]
-        wraps = "/".join(
-            f"{row['handoff_mm'][f]['median']:.1f}" if f in row["handoff_mm"] else "-"
-            for f in ("index", "middle")
-        )
-        seconds = row["seconds_to_20mm"]["50"]
-        shown = "-" if seconds is None else f"{seconds:.2f}"
-        cells.append((name, *(f"{v:.1f}" for v in rate), wraps, shown))
-    paper = {t: dict(zip(BUDGETS, PAPER_RATE[t], strict=True)) for t in ("20", "10")}
-    published = [f"{paper[t][b]:.1f}" for t in ("20", "10") for b in (1.0, 3.0, 7.0)]
-    cells.append(("published", *published, "14.2/17.1", ""))
-    return Table("Reaches converged [%], each row with one addition", header, tuple(cells))
-
-
 def main(config: AblationConfig) -> None:
     """Sweeps with every preset, prints the table, writes the file after each."""
     console = Console()
@@ -80,10 +59,9 @@ def main(config: AblationConfig) -> None:
                 "tuning_seeds": TUNING_SEEDS,
                 "poses": config.poses,
                 "rows": rows,
-                "markdown": table(rows).markdown(),
             },
         )
-    console.print(table(rows))
+    console.print(ablation_table(rows))
 
 
 if __name__ == "__main__":

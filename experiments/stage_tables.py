@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.layout import Table
+from mjx_grasp.reaching.results import PAPER_HANDOFF_MM, PAPER_RATE
+from mjx_grasp.reaching.sweep import BUDGETS
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
 NOTHING = "_No results file yet._"
@@ -143,7 +145,37 @@ def reach_ablation(path: Path) -> str:
     d = _read(path)
     if d is None:
         return NOTHING
-    return f"Reaches converged, in %, of {d['poses']:,} poses:\n\n{d['markdown']}"
+    shown = ablation_table(d["rows"]).markdown()
+    return f"Reaches converged, in %, of {d['poses']:,} poses:\n\n{shown}"
+
+
+def ablation_table(rows: dict[str, dict[str, Any]]) -> Table:
+    """Rates of each preset's sweep beside the published ones, by tolerance and time.
+
+    With errors of the wraps at handoff (index/middle), and how long half of the reaches took.
+    """
+    header = (
+        "",
+        *(f"{t} mm, {b} s" for t in (20, 10) for b in (1, 3, 7)),
+        "wraps mm, median",
+        "wraps mm, mean",
+        "median s to 20 mm",
+    )
+    cells = []
+    for name, row in rows.items():
+        rate = [row["rate_percent"][t][b] for t in ("20", "10") for b in ("1", "3", "7")]
+        wraps = [
+            "/".join(f"{row['handoff_mm'][finger][kind]:.1f}" for finger in ("index", "middle"))
+            for kind in ("median", "mean")
+        ]
+        seconds = row["seconds_to_20mm"]["50"]
+        shown = "" if seconds is None else f"{seconds:.2f}"
+        cells.append((name, *(f"{v:.1f}" for v in rate), *wraps, shown))
+    paper = {t: dict(zip(BUDGETS, PAPER_RATE[t], strict=True)) for t in ("20", "10")}
+    published = [f"{paper[t][b]:.1f}" for t in ("20", "10") for b in (1.0, 3.0, 7.0)]
+    errors = "/".join(f"{PAPER_HANDOFF_MM[finger][0]:.1f}" for finger in ("index", "middle"))
+    cells.append(("published", *published, "", errors, ""))
+    return Table("Reaches converged [%], each row with one addition", header, tuple(cells))
 
 
 def seeds(paths: Sequence[Path]) -> str:
@@ -157,11 +189,12 @@ def seeds(paths: Sequence[Path]) -> str:
             rows.append(
                 (
                     path.stem,
+                    policy[0]["engine"],
                     str(len(policy)),
                     str(episodes),
                     f"{100 * sum(r['successes'] for r in policy) / episodes:.1f}",
                     f"{sum(r['force_mean_n'] for r in policy) / len(policy):.1f}",
                 )
             )
-    header = ("policy", "objects", "episodes", "success %", "force N")
+    header = ("policy", "engine", "objects", "episodes", "success %", "force N")
     return Table("Seeds", header, tuple(rows)).markdown() if rows else NOTHING

@@ -69,7 +69,8 @@ def evaluate_and_report(
         rows += new
     untrained = replace(base, controller="squeeze", squeeze_force=policy_task(policy).grip_force)
     before, _ = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
-    write_results(base.out, rows + before, provenance(config.seed))
+    label = f"policy, preset {config.preset}"
+    write_results(base.out, rows + before, provenance(config.seed), label=label)
     console.print(success_table(rows + before))
 
     video, problem = folder / "grasp.mp4", None

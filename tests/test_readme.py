@@ -171,3 +171,11 @@ def test_the_readmes_links_and_commands_exist():
     assert {"train", "test", "setup"} <= set(targets)
     for target in targets:
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_the_example_in_python_runs_as_it_stands():
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["scores"].shape == (1000, len(names["mesh"].vertices))
+    assert names["scores"].max() > 0

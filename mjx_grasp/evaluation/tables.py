@@ -31,6 +31,8 @@ class Condition(NamedTuple):
     offset_mm: float
     angle_deg: float
     objects: frozenset[str]
+    meshes: str = ""
+    """What the objects are made of, in words."""
 
     def text(self) -> str:
         """The condition in words."""
@@ -38,6 +40,7 @@ class Condition(NamedTuple):
             f"{_ENGINES.get(self.engine, self.engine)}, "
             f"{_HANDOFFS[self.handoffs]}, object offset ±{self.offset_mm:g} mm, "
             f"{self.angle_deg:g}°, friction {self.friction:g}"
+            f"{self.meshes and ', '}{self.meshes}"
         )
 
 
@@ -72,7 +75,8 @@ def read_groups(paths: Iterable[str | Path]) -> Groups:
     for path in map(Path, paths):
         results = read_results(path)
         try:
-            columns = _columns(results.rows, str(results.extra.get("label", "policy")))
+            label = str(results.extra.get("label", "policy"))
+            columns = _columns(results.rows, label, _meshes_of(results))
         except InputError as error:
             raise FileError(path, str(error.found), error.expected) from None
         for condition, column in columns:
@@ -205,8 +209,14 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     return Table("Speed and memory", header, tuple(rows), names=2)
 
 
+def _meshes_of(results: Results) -> str:
+    """Scans come from a folder that the command names."""
+    scans = "--objects-dir" in str(results.provenance["command"])
+    return "real scans" if scans else "parametric stand-ins"
+
+
 def _columns(
-    rows: Sequence[ResultRow], policy_label: str = "policy"
+    rows: Sequence[ResultRow], policy_label: str = "policy", meshes: str = ""
 ) -> list[tuple[Condition, Column]]:
     """Rows by condition and controller."""
     parts: dict[ResultRow, dict[str, ResultRow]] = {}
@@ -221,7 +231,13 @@ def _columns(
         if key.squeeze_force_n is not None:
             label += f" {key.squeeze_force_n:g} N"
         condition = Condition(
-            key.engine, key.handoffs, key.friction, key.offset_mm, key.angle_deg, frozenset(part)
+            key.engine,
+            key.handoffs,
+            key.friction,
+            key.offset_mm,
+            key.angle_deg,
+            frozenset(part),
+            meshes,
         )
         found.append((condition, Column(label, part)))
     return found
@@ -250,6 +266,7 @@ def _condition_order(c: Condition) -> tuple:
         -c.friction,
         c.offset_mm,
         c.angle_deg,
+        c.meshes,
     )
 
 

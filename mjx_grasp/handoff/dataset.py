@@ -191,7 +191,7 @@ def load_handoffs(path: str | Path, objects: Sequence[ObjectModel] | None = None
         raise FileError(path, "another kind of file", f"a {FORMAT}") from None
     except Exception as error:
         # Depending on where it is damaged, reading a zip file raises nearly anything.
-        raise FileError(path, f"a damaged or foreign file ({error})", f"a {FORMAT}") from error
+        raise FileError(path, "a damaged or foreign file", f"a {FORMAT}") from error
     if _checksum(arrays, header) != header.get("checksum"):
         raise FileError(path, "content that does not match its checksum", "an undamaged file")
     _check(path, arrays, header)

@@ -205,8 +205,10 @@ def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
 
 def _checked(vertices, faces):
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
-        raise InputError("vertices", f"shape {vertices.shape}", "finite numbers [v, 3] in m")
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError("vertices", f"shape {vertices.shape}", "numbers [v, 3] in m")
+    if not np.isfinite(vertices).all():
+        raise InputError("vertices", "NaN or infinity among them", "finite numbers in m")
     if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
         raise InputError("faces", f"{faces.dtype} {faces.shape}", "integers [f, 3]")
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):

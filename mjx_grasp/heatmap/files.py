@@ -146,7 +146,7 @@ def load_heatmap(path: str | Path) -> StoredHeatmap:
         raise FileError(path, "another kind of file", expected) from None
     except Exception as error:
         # Depending on where it is damaged, reading a zip file raises nearly anything.
-        raise FileError(path, f"a damaged or foreign file ({error})", expected) from error
+        raise FileError(path, "a damaged or foreign file", expected) from error
     if names != TERMS or _checksum(arrays, header) != header.get("checksum"):
         raise FileError(path, "content that does not match its checksum", "an undamaged file")
     _check(path, arrays)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.scores import anchor_score
 
 
@@ -78,9 +79,14 @@ def steer(
         heatmap: Cached candidates.
         anchor: Point in the object frame, [m].
         sigma: Distance from the anchor to the grasp axis at which a score falls to 1/e, [m].
+
+    Raises:
+        InputError: The anchor is not one point.
     """
     dtype = heatmap.score_without_com.dtype
     anchor, sigma = jnp.asarray(anchor, dtype), jnp.asarray(sigma, dtype)
+    if anchor.shape != (3,):
+        raise InputError("anchor", f"shape {anchor.shape}", "one point [3] in m")
     return weigh(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchor, sigma)
 
 
@@ -93,9 +99,14 @@ def steer_many(
         heatmap: Cached candidates.
         anchors: Points in the object frame, [m].
         sigma: Of all anchors, or of each, [m].
+
+    Raises:
+        InputError: The anchors are not points.
     """
     dtype = heatmap.score_without_com.dtype
     anchors = jnp.asarray(anchors, dtype)
+    if anchors.ndim != 2 or anchors.shape[1] != 3:
+        raise InputError("anchors", f"shape {anchors.shape}", "points [a, 3] in m")
     sigma = jnp.broadcast_to(jnp.asarray(sigma, dtype), anchors.shape[:1])
     return _weigh_many(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchors, sigma)
 

@@ -226,7 +226,7 @@ def rate_table(result: dict[str, Any], label: str) -> Table:
         share = "" if solvable is None else f"{solvable:.1f}"
         rows.append((tolerance, label, *(f"{v:.1f}" for v in ours.values()), share))
         paper = PAPER_RATE[tolerance]
-        rows.append(("", "paper", *(f"{v:.1f}" for v in paper), ""))
+        rows.append(("", "published", *(f"{v:.1f}" for v in paper), ""))
     title = f"Reaches converged, % of {result['poses']} poses, by fine-adjustment time"
     return Table(title, header, tuple(rows), names=2)
 
@@ -238,5 +238,5 @@ def residual_table(result: dict[str, Any], label: str) -> Table:
     ours = tuple(f"{handoff[n]['mean']:.1f} ± {handoff[n]['std']:.1f}" for n in names)
     median = tuple(f"{handoff[n]['median']:.1f}" for n in names)
     paper = tuple("{:.1f} ± {:.1f}".format(*PAPER_HANDOFF_MM[n]) for n in names)
-    rows = ((label, *ours), (f"{label}, median", *median), ("paper", *paper))
+    rows = ((label, *ours), (f"{label}, median", *median), ("published", *paper))
     return Table("Tip errors at handoff, mm", ("", *names), rows)

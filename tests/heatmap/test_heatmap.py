@@ -5,7 +5,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, steer
+from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, steer, steer_many
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 TERMS = {"width", "thumb", "wrap", "coherence", "com", "separation"}
@@ -153,6 +153,13 @@ def test_friction_cone_edge_scores_e_to_the_minus_four():
     assert friction_score(force, np.float32([0, 0, 1]), FRICTION) == pytest.approx(
         np.exp(-4), rel=1e-4
     )
+
+
+def test_anchors_that_are_no_points_are_refused(lump_map):
+    with pytest.raises(InputError, match=r"anchor: found 'shape \(2, 3\)', expected one point"):
+        steer(lump_map, np.zeros((2, 3)))
+    with pytest.raises(InputError, match=r"anchors: found 'shape \(3,\)', expected points"):
+        steer_many(lump_map, np.zeros(3))
 
 
 def test_steering_to_the_centre_of_mass_gives_the_default_bit_for_bit(lump_map):

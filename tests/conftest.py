@@ -1,6 +1,7 @@
 """Shared fixtures, and run-time checks of the shapes that signatures promise."""
 
 import os
+import shutil
 from pathlib import Path
 
 import hypothesis
@@ -9,6 +10,13 @@ from jaxtyping import install_import_hook
 
 # Many tests start commands, and these compile the same programs again: once is enough.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".cache/jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# On the CPU the tests compile far longer than they compute, so XLA optimises little. XLA_FLAGS=
+# (empty) runs them with the code that users get.
+if not shutil.which("nvidia-smi"):
+    os.environ.setdefault(
+        "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    )
 
 # Before anything of the package is imported. Modules whose functions are called with arrays of
 # JAX alone; `closing.env` is left out, for its engine is a protocol that cannot be checked.

@@ -1,5 +1,6 @@
 """The object moves, jumps and turns, an obstacle crosses the way: the controller follows."""
 
+import os
 from dataclasses import replace
 from functools import cache, partial
 
@@ -17,7 +18,9 @@ from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.selection import cylinder_candidates
 
 # Long runs compute more than they compile: XLA's own settings, not those of the other tests.
-OPTIMISED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+OPTIMISED: dict = {"xla_backend_optimization_level": 3}
+if "fusion_emitters" in os.environ.get("XLA_FLAGS", ""):
+    OPTIMISED["xla_cpu_use_fusion_emitters"] = True
 TICKS, DT = 600, 0.01
 SCENARIOS = ("still", "drift", "jump", "turn", "obstacle")
 # Upright and lying cylinders, none under the hand at home.

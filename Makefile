@@ -3,7 +3,8 @@ PYTHON ?= python3
 comma := ,
 # JAX with CUDA where there is an NVIDIA driver.
 EXTRAS ?= dev$(if $(shell command -v nvidia-smi),$(comma)cuda)
-TEST_FLAGS ?= -n auto --maxprocesses 4 --dist loadfile
+# In the order of tests/conftest.py, which begins with the files that take longest.
+TEST_FLAGS ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 ARGS ?=
 
 BIN := .venv/bin

@@ -1,6 +1,8 @@
 """Shared fixtures, and run-time checks of the shapes that signatures promise."""
 
 import os
+import shutil
+from importlib.metadata import version
 from pathlib import Path
 
 import hypothesis
@@ -9,6 +11,14 @@ from jaxtyping import install_import_hook
 
 # Many tests start commands, and these compile the same programs again: once is enough.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".cache/jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# On the CPU the tests compile far longer than they compute, so XLA optimises little. XLA_FLAGS=
+# (empty) runs them with the code that users get.
+if not shutil.which("nvidia-smi"):
+    flags = "--xla_backend_optimization_level=0"
+    if version("jaxlib").startswith("0.10."):  # later ones end at a flag that they do not know
+        flags += " --xla_cpu_use_fusion_emitters=false"
+    os.environ.setdefault("XLA_FLAGS", flags)
 
 # Before anything of the package is imported. Modules whose functions are called with arrays of
 # JAX alone; `closing.env` is left out, for its engine is a protocol that cannot be checked.
@@ -39,6 +49,26 @@ hypothesis.settings.register_profile("mjx_grasp", deadline=None, max_examples=50
 hypothesis.settings.load_profile("mjx_grasp")
 
 SUBSTEPS = 5
+
+# Whole files go to one worker each: the longest have to be started first, or one worker is left
+# with them at the end. The order is that of measured times; what is not named follows.
+LONGEST_FIRST = (
+    "test_reactivity.py",
+    "test_planning.py",
+    "test_controller.py",
+    "test_training.py",
+    "test_commands.py",
+    "test_mjx.py",
+    "test_backends.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    def place(item):
+        name = item.path.name
+        return LONGEST_FIRST.index(name) if name in LONGEST_FIRST else len(LONGEST_FIRST)
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

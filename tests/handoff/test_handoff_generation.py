@@ -7,6 +7,7 @@ from collections import Counter
 import mujoco
 import numpy as np
 import pytest
+from typed import refusal
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig, IkConfig, SamplingConfig
@@ -178,7 +179,7 @@ def command(*arguments):
     )
 
 
-def test_the_command_writes_a_set_and_its_report(tmp_path):
+def test_the_command_writes_a_set_and_its_report(tmp_path, monkeypatch, capsys):
     out = tmp_path / "brick.npz"
     small = ["--sampling.poses-per-round", 16, "--sampling.candidates-per-pose", 3]
     small += ["--ik.library-size", 3000, "--ik.restarts", 3, "--max-rounds", 3]
@@ -203,8 +204,8 @@ def test_the_command_writes_a_set_and_its_report(tmp_path):
     assert report_now["earlier"] == [report["provenance"]]
 
     out.with_suffix(".json").unlink()
-    done = command(*more)
-    assert done.returncode == 2 and "brick.json" in done.stderr
+    status, error = refusal(monkeypatch, capsys, "handoffs", *more)
+    assert status == 2 and "brick.json" in error
 
 
 def test_the_command_refuses_what_it_does_not_know(tmp_path):

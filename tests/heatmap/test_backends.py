@@ -104,7 +104,9 @@ def test_no_meshes_give_no_heatmaps():
 
 
 def test_the_tile_changes_nothing():
+    # Without symmetries: where two contacts are equally good, rounding decides between them.
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
+    mesh.vertices *= [1.0, 1.3, 1.8] + 0.1 * np.random.default_rng(0).random((162, 3))
     (small,), (large,) = by("brute", mesh, tile=50), by("brute", mesh, tile=10_000)
     for a, b in zip(jax.tree.leaves(small), jax.tree.leaves(large), strict=True):
         assert np.allclose(a, b, atol=1e-6)

@@ -171,13 +171,13 @@ def test_resumed_training_is_the_unbroken_one(env, trained, tmp_path):
     assert [int(r["env_steps"]) for r in rows] == [16, 32, 48]
 
 
-def test_numbers_that_are_none_stop_the_training(env, tmp_path):
+def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
     """The checkpoint from before stays as it is, and the bad state is kept aside."""
     folder = tmp_path / "run"
     folder.mkdir()
-    state = init_state(tiny.ppo(1), env, seed=0)
-    state = train_loop(folder, state, env, tiny.ppo(1), LoopConfig(checkpoint_every=1), {})
-    good = jax.tree.map(np.asarray, state)
+    good = trained[0][1]
+    save_checkpoint(folder / "checkpoints", good, env, {})
+    state = jax.tree.map(jnp.copy, good)  # the loop gives away what it is given
     bad = state._replace(
         params=state.params.replace(
             policy=jax.tree.map(lambda x: x.at[(0,) * x.ndim].set(jnp.nan), state.params.policy)
@@ -204,7 +204,7 @@ def script(folder, iterations, seconds=0.0):
     )
 
 
-def test_killed_training_resumes_to_the_same_parameters(tmp_path):
+def test_killed_training_resumes_to_the_same_parameters(tmp_path, capsys):
     killed = script(tmp_path / "killed", 4, seconds=0.5)
     deadline = time.monotonic() + 240
     while not checkpoints(tmp_path / "killed" / "checkpoints"):
@@ -213,13 +213,16 @@ def test_killed_training_resumes_to_the_same_parameters(tmp_path):
     os.kill(killed.pid, signal.SIGKILL)
     killed.wait()
     assert not (tmp_path / "killed" / "parameters.npy").exists()
-    # Both at once: the resumed one and one that nothing disturbed.
-    runs = {name: script(tmp_path / name, 4) for name in ("killed", "unbroken")}
-    output = {name: run.communicate(timeout=300)[0] for name, run in runs.items()}
-    assert '"from": 0' in output["unbroken"]
-    assert '"from": 0' not in output["killed"], "nothing was resumed"
-    assert all(run.returncode == 0 for run in runs.values()), output
-    np.testing.assert_array_equal(*(np.load(tmp_path / name / "parameters.npy") for name in runs))
+    # Both at once: the resumed one and, in this process, one that nothing disturbed.
+    resumed = script(tmp_path / "killed", 4)
+    with jax.default_device(jax.devices("cpu")[0]):
+        tiny.main(tmp_path / "unbroken", 4, 0.0)
+    output = resumed.communicate(timeout=300)[0]
+    assert resumed.returncode == 0, output
+    assert '"from": 0' not in output, "nothing was resumed"
+    assert '"from": 0' in capsys.readouterr().out
+    found, expected = (np.load(tmp_path / n / "parameters.npy") for n in ("killed", "unbroken"))
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(

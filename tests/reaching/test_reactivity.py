@@ -1,7 +1,8 @@
 """The object moves, jumps and turns, an obstacle crosses the way: the controller follows."""
 
+import os
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,10 @@ from mjx_grasp.reaching.presets import preset
 from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.selection import cylinder_candidates
 
+# Long runs compute more than they compile: XLA's own settings, not those of the other tests.
+OPTIMISED: dict = {"xla_backend_optimization_level": 3}
+if "fusion_emitters" in os.environ.get("XLA_FLAGS", ""):
+    OPTIMISED["xla_cpu_use_fusion_emitters"] = True
 TICKS, DT = 600, 0.01
 SCENARIOS = ("still", "drift", "jump", "turn", "obstacle")
 # Upright and lying cylinders, none under the hand at home.
@@ -124,7 +129,7 @@ def _run(name, body):
         state, q, kept = jax.vmap(world, in_axes)(state, q, scenario, shape, p, R, plans, t)
         return (state, q, plans), kept
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=OPTIMISED)
     def run():
         def start(shape, p, R, plans):
             return reacher.start(home, candidates_of(shape), p, R, plans, obstacles=1)

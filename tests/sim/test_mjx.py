@@ -276,11 +276,14 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
         assert not after.info["broken"].any()
     # It goes on as a world that never broke: same row, same object, same moments.
     fresh, _ = jax.jit(env.env.start)(draw_of(after.pipeline_state.episode.row))
-    env_tick = jax.jit(env.env.tick)
+    fresh = clean.replace(pipeline_state=fresh)
     assert after.pipeline_state.episode.tick[1] == 3
     for _ in range(3):
-        fresh, _ = env_tick(fresh, action)
-    np.testing.assert_allclose(after.pipeline_state.readings.q[1], fresh.readings.q[1], atol=1e-5)
+        fresh = env_step(fresh, action)
+    assert fresh.pipeline_state.episode.tick[1] == 3
+    np.testing.assert_allclose(
+        after.pipeline_state.readings.q[1], fresh.pipeline_state.readings.q[1], atol=1e-5
+    )
 
 
 def test_no_worlds_are_refused(scene):

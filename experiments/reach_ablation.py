@@ -19,7 +19,8 @@ from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.reaching.results import PAPER_RATE
 from mjx_grasp.reaching.sweep import BUDGETS
-from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig, run_sweep
+from mjx_grasp.reaching.sweep_run import run_sweep
+from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig
 
 _KEPT = (
     "rate_percent",

@@ -245,7 +245,7 @@ def test_fields_of_all_scans():
             mesh = _mesh(name, folder)
         except MjxGraspError:
             continue  # no scan of this object
-        error, wrong, *_ = _compared(mesh, count=1000)
+        error, wrong, *_ = _compared(mesh, count=250)
         compared += 1
         if error.max() > 1e-3 or wrong > 0:
             failures[name] = (float(error.max()), float(wrong))

@@ -100,6 +100,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
             "ablation": stage_tables.reach_ablation(folder / "reach_ablation.json"),
+            "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
             "files": _provenance(files).markdown() if files else NOTHING,
         },
     }

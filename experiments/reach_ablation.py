@@ -17,7 +17,8 @@ from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.presets import PRESETS
-from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig, run_sweep
+from mjx_grasp.reaching.sweep_run import run_sweep
+from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig
 
 _KEPT = (
     "rate_percent",

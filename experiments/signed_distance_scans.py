@@ -41,7 +41,7 @@ class DistanceConfig:
     objects_dir: Path
     """folder of real scans"""
     objects: tuple[str, ...] = ("all",)
-    spacing: float = 0.002
+    spacing: float = 0.0015
     """of the grid [m]"""
     near: float = 0.010
     """how far from the surface points are drawn [m]"""

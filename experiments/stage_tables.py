@@ -178,6 +178,24 @@ def ablation_table(rows: dict[str, dict[str, Any]]) -> Table:
     return Table("Reaches converged [%], each row with one addition", header, tuple(cells))
 
 
+def signed_distances(path: Path) -> str:
+    """Errors of the distance grids."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    rows = d["rows"]
+    worst = max(rows, key=lambda r: r["worst_mm"])
+    percentile = sorted(r["percentile_95_mm"] for r in rows)[len(rows) // 2]
+    return (
+        f"Of {d['points']:,} points on and within {d['near_mm']:.0f} mm of each of {len(rows)} "
+        f"objects, the signed distance by a grid of {d['spacing_mm']:g} mm is off by at most "
+        f"{worst['worst_mm']:.2f} mm ({worst['object'].replace('_', ' ')}); for the median object "
+        f"95 % are within {percentile:.2f} mm. For the worst object "
+        f"{min(r['right_signs_percent'] for r in rows):.2f} % of the signs are right, half a cell "
+        "and more from the surface."
+    )
+
+
 def seeds(paths: Sequence[Path]) -> str:
     """Policies of several seeds, each from its file of an evaluation of the same states."""
     rows = []

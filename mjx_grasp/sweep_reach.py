@@ -7,30 +7,21 @@ tolerance and time beside the publication's.
 
 from __future__ import annotations
 
-import time
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
-import numpy as np
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from mjx_grasp.atomic import replacing, write_json
+from mjx_grasp.atomic import check_writable, replacing, write_json
 from mjx_grasp.cli import run_command
-from mjx_grasp.compilation import compile_seconds
 from mjx_grasp.errors import InputError
 from mjx_grasp.provenance import provenance
-from mjx_grasp.reaching.body import reach_body
-from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import PlanConfig, start_library
-from mjx_grasp.reaching.poses import CylinderPoses, PoseDistribution, draw_poses
-from mjx_grasp.reaching.presets import Preset, for_sweep, preset
-from mjx_grasp.reaching.results import classify, rate_table, residual_table, summary
-from mjx_grasp.reaching.sweep import ReachRecord, plan_all, sweep
-from mjx_grasp.robot.spec import load_robot
+
+if TYPE_CHECKING:
+    from mjx_grasp.reaching.presets import Preset
 
 TUNING_SEEDS = (1, 2, 3)
 """Poses on which settings were chosen; results that count come from others."""
@@ -62,6 +53,8 @@ class SweepConfig:
     def __post_init__(self):
         if self.poses < 1:
             raise InputError("poses", self.poses, "a whole number from 1")
+        if self.seed < 0:
+            raise InputError("seed", self.seed, "a whole number from 0")
         if self.chunk is not None and self.chunk < 1:
             raise InputError("chunk", self.chunk, "a whole number from 1")
         for name, suffix in (("out", ".json"), ("plot", ".png"), ("gallery", ".png")):
@@ -70,73 +63,32 @@ class SweepConfig:
                 raise InputError(name, str(path), f"a file name ending in {suffix}")
 
 
-@dataclass(frozen=True)
-class SweepRun:
-    """Everything a sweep made."""
-
-    result: dict[str, Any]
-    poses: CylinderPoses
-    record: ReachRecord
-    classes: np.ndarray
-    """``[poses]`` failure class of each, −1 where it converged."""
-
-
-def run_sweep(
-    config: SweepConfig, settings: Preset | None = None, console: Console | None = None
-) -> SweepRun:
-    """Draws the poses, plans where the preset looks ahead, reaches for all, sums up.
-
-    Args:
-        config: What to sweep.
-        settings: In place of the named preset's.
-        console: Where progress is shown; nowhere if None.
+def check_gallery(config: SweepConfig) -> None:
+    """Pictures come last, after minutes: what they need is looked for first.
 
     Raises:
-        InputError: An unknown preset or robot.
-        FileError: The robot's description cannot be read.
+        InputError: A gallery is asked for where MuJoCo cannot render.
     """
-    settings = for_sweep(settings or preset(config.preset))
-    body = reach_body(load_robot(config.robot))
-    reacher = Reacher(body, settings.reach, settings.selection)
-    poses = draw_poses(config.poses, config.seed)
-    on_cpu = jax.default_backend() == "cpu"
-    chunk = min(config.chunk or (128 if on_cpu else config.poses), config.poses)
-    dt, cap = settings.reach.controller.dt, settings.reach.controller.timeout
-    seconds: dict[str, float] = {}
-    plans, least_error = None, None
-    with _progress(console) as progress:
-        if settings.plan or config.bound:
-            plan = settings.plan or PlanConfig()
-            task = progress.add_task("library of starts", total=None)
-            start, compiled = time.perf_counter(), compile_seconds()
-            library = start_library(body, plan)
-            progress.update(task, visible=False)
-            task = progress.add_task("inverse kinematics", total=config.poses)
-            found = plan_all(
-                reacher,
-                plan,
-                library,
-                poses,
-                min(chunk, 32) if on_cpu else min(chunk, 256),
-                lambda done: progress.update(task, completed=done),
-            )
-            seconds["planning"] = time.perf_counter() - start - compile_seconds() + compiled
-            least_error = found.least_error
-            plans = found.plans if settings.plan else None
-        task = progress.add_task("reaching", total=config.poses * round(cap / dt))
-        start, compiled = time.perf_counter(), compile_seconds()
-        record = sweep(reacher, poses, plans, chunk, lambda ticks: progress.advance(task, ticks))
-        seconds["reaching"] = time.perf_counter() - start - compile_seconds() + compiled
-    limits = settings.reach.limits
-    result = summary(body, limits, poses, record, least_error)
-    seconds["compilation"] = compile_seconds()
-    result["seconds"] = {name: round(value, 2) for name, value in seconds.items()}
-    classes = classify(body, limits, record, least_error)
-    return SweepRun(result, poses, record, classes)
+    if config.gallery is None:
+        return
+    from mjx_grasp.viz import frames, video
+
+    try:
+        frames.check_backend()
+    except frames.BackendError as error:
+        backend = os.environ.get("MUJOCO_GL")
+        found = f"no renderer with MUJOCO_GL={backend}" if backend else "no renderer"
+        raise InputError(
+            "gallery",
+            f"{config.gallery}, but {found} ({error})",
+            f"a renderer for the pictures: MUJOCO_GL=egl without a screen; {video.INSTALL}",
+        ) from error
 
 
 def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) -> dict[str, Any]:
     """The contents of a results file."""
+    from mjx_grasp.reaching.poses import PoseDistribution
+
     return {
         "provenance": provenance(config.seed),
         "tuning_seeds": TUNING_SEEDS,
@@ -147,20 +99,19 @@ def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) 
     }
 
 
-def _progress(console: Console | None) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console is None,
-    )
-
-
 def main() -> None:
     """Parses the command line, sweeps, prints the tables, writes what was asked for."""
     config = tyro.cli(SweepConfig, description=__doc__)
+    for name in ("out", "plot", "gallery"):
+        if getattr(config, name) is not None:
+            check_writable(name, getattr(config, name))
+    check_gallery(config)
+    # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
+    from mjx_grasp.reaching.presets import for_sweep, preset
+    from mjx_grasp.reaching.results import rate_table, residual_table
+    from mjx_grasp.reaching.sweep_run import run_sweep
+    from mjx_grasp.robot.spec import load_robot
+
     console = Console()
     settings = for_sweep(preset(config.preset))
     run = run_sweep(config, console=console)

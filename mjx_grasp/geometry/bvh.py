@@ -5,17 +5,15 @@ both backends (:mod:`.rays`, :mod:`.closest`), so that these agree to rounding. 
 once: a query names its mesh, and faces are counted through all of them.
 
 A query runs in the thread that calls it, on a CPU on one core: call for parts of the work from
-:func:`in_threads`.
+:func:`.in_threads`.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,14 +22,12 @@ from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry import bvh_kernels, face_blocks_kernel
 from mjx_grasp.geometry.face_blocks import WIDTH, face_blocks
+from mjx_grasp.geometry.warp_device import device, launch, load, put, start
 
 # Centroids in a leaf of their tree: fewer are found no faster, and take longer to build.
 _CENTROIDS_PER_LEAF = 8
 # Cells along each side of a grid of centroids; it repeats beyond.
 _GRID = 32
-
-S = TypeVar("S")
-T = TypeVar("T")
 
 
 class MeshTrees:
@@ -49,17 +45,17 @@ class MeshTrees:
         points: Sequence[Float[np.ndarray, "v 3"]],
         faces: Sequence[Int[np.ndarray, "f 3"]],
     ):
-        _device()
-        self._built = [_start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
+        load(bvh_kernels)
+        if device().is_cpu:
+            load(face_blocks_kernel)
+        self._built = [start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
         self._grouped = [
-            _start(face_blocks, p, f)
-            for p, f in zip(points, faces, strict=True)
-            if _device().is_cpu
+            start(face_blocks, p, f) for p, f in zip(points, faces, strict=True) if device().is_cpu
         ]
         self.counts = [len(f) for f in faces]
         diagonals = [np.linalg.norm(np.ptp(p, axis=0)) for p in points]
-        self.first_face = _put(_starts(self.counts), wp.int32)
-        self.diagonal = _put(np.asarray(diagonals, np.float32), wp.float32)
+        self.first_face = put(_starts(self.counts), wp.int32)
+        self.diagonal = put(np.asarray(diagonals, np.float32), wp.float32)
 
     @functools.cached_property
     def _meshes(self) -> tuple[list[wp.Mesh], wp.array]:
@@ -78,12 +74,12 @@ class MeshTrees:
         slot_of_face[face_of_slot] = np.arange(len(face_of_slot))
         integers = [_starts([len(x.first) for x in found]), slots // WIDTH]
         return [
-            *(_put(x, wp.int32) for x in integers),
-            _put(np.concatenate([x.boxes for x in found]).ravel(), wp.float32),
-            _put(np.concatenate([x.first for x in found]), wp.int32),
-            _put(np.concatenate([x.blocks for x in found]).ravel(), wp.float32),
-            _put(face_of_slot.astype(np.int32), wp.int32),
-            _put(slot_of_face, wp.int32),
+            *(put(x, wp.int32) for x in integers),
+            put(np.concatenate([x.boxes for x in found]).ravel(), wp.float32),
+            put(np.concatenate([x.first for x in found]), wp.int32),
+            put(np.concatenate([x.blocks for x in found]).ravel(), wp.float32),
+            put(face_of_slot.astype(np.int32), wp.int32),
+            put(slot_of_face, wp.int32),
         ]
 
     def farthest_faces(
@@ -99,10 +95,10 @@ class MeshTrees:
             origins: Ray origins in [m], within the mesh's bounding box.
             directions: Ray directions, unit.
         """
-        out = wp.empty(len(owner), dtype=wp.int32, device=_device())
+        out = wp.empty(len(owner), dtype=wp.int32, device=device())
         inputs = [self._meshes[1], self.first_face, self.diagonal]
         inputs += [*map(_take, (owner, origins, directions)), out]
-        _launch(bvh_kernels.farthest, len(owner), inputs)
+        launch(bvh_kernels.farthest, len(owner), inputs)
         return wp.to_jax(out)
 
     def nearest_faces(
@@ -124,13 +120,13 @@ class MeshTrees:
             count: Of the n how many are asked; the rest, padding, has no meaning.
         """
         length = len(points) // (sides * len(owner))
-        out = wp.empty(len(points), dtype=wp.int32, device=_device())
+        out = wp.empty(len(points), dtype=wp.int32, device=device())
         asked = [*map(_take, (owner, points, near)), sides, len(owner), length, out]
-        if _device().is_cpu:
-            _launch(face_blocks_kernel.nearest, (sides, count), [*self._blocks, *asked])
+        if device().is_cpu:
+            launch(face_blocks_kernel.nearest, (sides, count), [*self._blocks, *asked])
         else:
             trees = [self._meshes[1], self.first_face, self.diagonal]
-            _launch(bvh_kernels.nearest, (sides, count), [*trees, *asked])
+            launch(bvh_kernels.nearest, (sides, count), [*trees, *asked])
         return wp.to_jax(out)
 
 
@@ -188,88 +184,37 @@ class FaceGrids:
             count: Points that are asked; the rest, padding, has no meaning.
         """
         asked = [*map(_take, (owner, points, normals, *tangents)), *self._faces]
-        found = wp.empty(len(owner), dtype=wp.int32, device=_device())
-        out = wp.empty(len(owner), dtype=wp.vec3, device=_device())
+        found = wp.empty(len(owner), dtype=wp.int32, device=device())
+        out = wp.empty(len(owner), dtype=wp.vec3, device=device())
         inputs = [self._grid_ids, self._of.first_face, *asked, self._radius, found, out]
-        _launch(bvh_kernels.spread, count, inputs)
+        launch(bvh_kernels.spread, count, inputs)
         few = np.flatnonzero(found.numpy()[:count] < self._min_faces).astype(np.int32)
         if len(few):
-            inputs = [_put(few, wp.int32), self._trees[1], self._of.first_face, self._of.diagonal]
+            inputs = [put(few, wp.int32), self._trees[1], self._of.first_face, self._of.diagonal]
             inputs += [*asked, self._radius, self._min_faces, out]
-            _launch(bvh_kernels.wider_spread, len(few), inputs)
+            launch(bvh_kernels.wider_spread, len(few), inputs)
         return wp.to_jax(out)
 
 
-def in_threads(function: Callable[[S], T], parts: Iterable[S]) -> list[T]:
-    """``function`` of all parts, on a CPU on all of its cores at once."""
-    return list(_pool().map(function, parts) if _device().is_cpu else map(function, parts))
-
-
-def cores() -> int:
-    """CPU cores that this process may use."""
-    known = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
-
-
-@functools.cache
-def _pool() -> ThreadPoolExecutor:
-    """Threads that stay: to start them takes as long as a query of a whole mesh."""
-    return ThreadPoolExecutor(cores())
-
-
-def _start(build: Callable[..., T], *arguments: Any) -> Callable[[], T]:
-    """What gives a result that on a CPU is worked out in another thread meanwhile."""
-    if _device().is_cpu:
-        return _pool().submit(build, *arguments).result
-    built = build(*arguments)
-    return lambda: built
-
-
 def _mesh(points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
-    return wp.Mesh(_put(points, wp.vec3), _put(faces.astype(np.int32).ravel(), wp.int32))
+    return wp.Mesh(put(points, wp.vec3), put(faces.astype(np.int32).ravel(), wp.int32))
 
 
 def _grid(centroids: wp.array, radius: float) -> wp.HashGrid:
-    grid = wp.HashGrid(_GRID, _GRID, _GRID, device=_device())
+    grid = wp.HashGrid(_GRID, _GRID, _GRID, device=device())
     grid.build(centroids, radius)
     return grid
-
-
-def _launch(kernel: Any, count: int | tuple[int, int], inputs: list[Any]) -> None:
-    wp.launch(kernel, dim=count, inputs=inputs, device=_device())
-    # JAX does not know of Warp's stream.
-    wp.synchronize_device(_device())
 
 
 def _starts(counts: Sequence[int]) -> np.ndarray:
     return np.cumsum([0, *counts[:-1]], dtype=np.int32)
 
 
-def _put(array: np.ndarray, dtype: Any) -> wp.array:
-    return wp.array(np.ascontiguousarray(array), dtype=dtype, device=_device())
-
-
 def _ids(items: Sequence[Any]) -> wp.array:
-    return _put(np.array([item.id for item in items], np.uint64), wp.uint64)
+    return put(np.array([item.id for item in items], np.uint64), wp.uint64)
 
 
 def _take(array: Array) -> wp.array:
     """An array of JAX as one of Warp, without a copy."""
     array = jax.block_until_ready(array)
     return wp.from_jax(array, dtype=wp.vec3 if array.ndim == 2 else None)
-
-
-@functools.cache
-def _device() -> Any:
-    """Warp's name for JAX's device; the first call starts Warp and loads the kernels, quietly."""
-    level = wp.config.log_level
-    try:
-        wp.config.log_level = wp.LOG_ERROR
-        wp.init()
-        device = wp.device_from_jax(jax.devices()[0])
-        wp.load_module(bvh_kernels, device=device)
-        if device.is_cpu:
-            wp.load_module(face_blocks_kernel, device=device)
-    finally:
-        wp.config.log_level = level
-    return device

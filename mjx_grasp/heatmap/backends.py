@@ -198,7 +198,8 @@ def bvh_candidates(
         hand: What does the grasping.
         config: Settings.
     """
-    from mjx_grasp.geometry.bvh import FaceGrids, in_threads
+    from mjx_grasp.geometry.bvh import FaceGrids
+    from mjx_grasp.geometry.warp_device import in_threads
 
     vertices = sum(v for v, _ in counts)
     owner = np.repeat(np.arange(len(counts), dtype=np.int32), [v for v, _ in counts])
@@ -240,7 +241,7 @@ def bvh_candidates(
 
 def _parts() -> int:
     """Parts of the work: on a CPU one for each core."""
-    from mjx_grasp.geometry.bvh import cores
+    from mjx_grasp.geometry.warp_device import cores
 
     return cores() if jax.default_backend() == "cpu" else 1
 

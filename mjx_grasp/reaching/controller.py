@@ -33,8 +33,10 @@ from mjx_grasp.selection.select import Hand, SelectionState, Targets, select, st
 _CHOSEN = 10.0
 # After a re-selection thumb contacts this near to the abandoned one are ruled out, [m].
 _RULED_OUT = 0.02
-# An object that moves less in a tick, in [m] and [rad] together, is still.
+# An object that moves less in a tick, in [m] and [rad] together, is still; so is an obstacle.
 _STILL = 1e-4
+# An obstacle within so many clearances holds the hand off.
+_HOLDS = 2.0
 
 
 class Outcome(IntEnum):
@@ -263,8 +265,11 @@ class Reacher:
         error = jnp.where(targets.valid, jnp.max(report.error), jnp.inf)
         to_go = jnp.max(jnp.abs(guide_q[0] - q) / self.body.velocity_limit)
         to_go = jnp.where(guide.known & (wanted.astray < 0.5), to_go, jnp.inf)
+        # What passes is waited for: another plan may be a long way round.
+        passes = jnp.any(norm(drift) * config.dt > _STILL)
+        passes &= report.obstacle_distance < _HOLDS * limits.object_clearance
         state = self._advance(
-            state, targets, candidates, error, report.midpoint, to_go, moves, plans
+            state, targets, candidates, error, report.midpoint, to_go, moves | passes, plans
         )
         if plans is not None:
             number = plans.candidate.shape[0]
@@ -277,7 +282,7 @@ class Reacher:
         distance = np.array([t.thumb_standoff, *[t.wrap_standoff] * 2], np.float32)
         return targets.position + distance[:, None] * targets.normal
 
-    def _advance(self, state, targets, candidates, error, midpoint_error, to_go, moves, plans):
+    def _advance(self, state, targets, candidates, error, midpoint_error, to_go, waits, plans):
         """Timer, handoff, re-selection, failure."""
         config = self.config.controller
         running = state.outcome == Outcome.RUNNING
@@ -292,8 +297,8 @@ class Reacher:
         # Ahead on the guide's way or nearer with the tips: either is progress.
         now = jnp.stack([to_go, error / self.config.fields.speed])
         improves = now < state.best - config.stall_progress
-        # Once arrived, or while the object moves, the way to go is counted afresh.
-        afresh = (error < config.stall_error) | moves
+        # Once arrived, or while something else moves, the way to go is counted afresh.
+        afresh = (error < config.stall_error) | waits
         best = jnp.where(afresh, jnp.inf, jnp.where(improves, now, state.best))
         since = jnp.where(jnp.any(improves) | afresh, 0.0, state.since + config.dt)
         stalls = since >= config.stall_time

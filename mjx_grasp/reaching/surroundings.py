@@ -15,8 +15,10 @@ from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.reaching.body import ReachBody, Solids
 from mjx_grasp.robot.kinematics import Motion
 
-# Along a segment of nearly even distance a fitted parabola says nothing.
-_FLAT = 1e-6
+# Points of a segment at which its distance is looked at, after both ends.
+_STEPS = 5
+# A distance that changes its slope along a segment by less is even, [m].
+_FLAT = 1e-9
 
 
 class Surroundings(NamedTuple):
@@ -114,22 +116,46 @@ def obstacle_distance(obstacles: Float[Array, "k 4"], points: Float[Array, "*n 3
     return distance
 
 
-def _nearest_on_segments(shape: Shape, start, end):
-    """Parameters in [0, 1] of the points of segments nearest to a shape; distances there and of
-    both ends.
+def nearest_on_segments(
+    shape: Shape, start: Float[Array, "n 3"], end: Float[Array, "n 3"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """Parameters in [0, 1] of the points of segments nearest to a shape; distances in [m] there, of
+    the starts and of the ends.
 
-    Of both ends, the middle and the lowest point of the parabola through them the nearest; exact
-    enough where distances are convex, and never wrong by more than the samples' gaps.
+    Where the distance, convex about a convex shape, neither falls nor rises: false position of its
+    slope (the Illinois method), exact to 0.3 mm. Of points merely near the nearest ones the
+    distance would also change as they slide along, which no half-space bounds.
+
+    Args:
+        shape: In whose frame the segments are.
+        start: Of the segments, [m].
+        end: Theirs, [m].
     """
-    middle = 0.5 * (start + end)
-    low, high, between = (signed_distance(shape, p) for p in (start, end, middle))
-    bend = low - 2.0 * between + high
-    curved = bend > _FLAT
-    t = jnp.clip(0.5 + 0.25 * (low - high) / jnp.where(curved, bend, 1.0), 0.0, 1.0)
-    best = signed_distance(shape, start + t[:, None] * (end - start))
-    for share, distance in ((0.0, low), (1.0, high), (0.5, between)):
-        nearer = distance < best
-        t, best = jnp.where(nearer, share, t), jnp.where(nearer, distance, best)
+    along = end - start
+
+    def at(t):
+        distance, normal = distance_and_normal(shape, start + t[:, None] * along)
+        return distance, dot(normal, along)
+
+    zero = jnp.zeros(start.shape[0], start.dtype)
+    t_low, t_high = zero, zero + 1.0
+    (low, falls), (high, rises) = at(t_low), at(t_high)
+    t = jnp.where(low <= high, t_low, t_high)
+    best = jnp.minimum(low, high)
+    side = zero
+    for step in range(_STEPS):
+        # The middle first, for shapes that are not convex.
+        share = falls / jnp.minimum(falls - rises, -_FLAT)
+        between = 0.5 if step == 0 else jnp.clip(share, 0.0, 1.0)
+        trial = t_low + between * (t_high - t_low)
+        distance, slope = at(trial)
+        t, best = jnp.where(distance < best, trial, t), jnp.minimum(distance, best)
+        up = slope > 0
+        # A side that stays twice counts half.
+        rises = jnp.where(up, slope, jnp.where(side < 0, 0.5 * rises, rises))
+        falls = jnp.where(up, jnp.where(side > 0, 0.5 * falls, falls), slope)
+        t_low, t_high = jnp.where(up, t_low, trial), jnp.where(up, trial, t_high)
+        side = jnp.where(up, 1.0, -1.0)
     return t, best, low, high
 
 
@@ -158,7 +184,7 @@ def object_proximity(
     if solids.are_points:
         return rows(start, signed_distance(around.shape, to_object(around, start)))
     ends = (to_object(around, start), to_object(around, end))
-    t, least, low, high = _nearest_on_segments(around.shape, *ends)
+    t, least, low, high = nearest_on_segments(around.shape, *ends)
     nearest = start + t[:, None] * (end - start)
     return stacked([rows(nearest, least), rows(start, low), rows(end, high)])
 

@@ -22,7 +22,7 @@ from mjx_grasp.viz.trajectory import load_trajectory
 BACKENDS = ("egl", "osmesa")
 _FORMATS = (".mp4", ".gif", ".png")
 _RENDERING_FAILED = 3  # exit status of the child when it is the renderer that fails
-_INSTALL = (
+INSTALL = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri (EGL), "
     "or apt-get install libosmesa6 (software only)"
 )
@@ -83,7 +83,7 @@ def render_in_subprocess(config: VideoConfig, timeout_s: float = 600.0) -> None:
         failures.append(f"{backend}: {reason}")
     raise RenderError(
         f"{config.trajectory}: no renderer works here ({'; '.join(failures)}). "
-        f"To get one, {_INSTALL}"
+        f"To get one, {INSTALL}"
     )
 
 

@@ -25,7 +25,7 @@ from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world, has_gpu
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluate import eligible, states_of
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
@@ -40,6 +40,9 @@ from mjx_grasp.learning.run import LoopConfig, train_loop
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.provenance import provenance
 from mjx_grasp.sim.scene import Scene, SceneConfig
+
+_OPENING = ("config.json", "provenance.json")
+"""Files that are written when a run is opened."""
 
 Preset = Literal["auto", "cpu", "gpu", "paper"]
 
@@ -134,7 +137,12 @@ def train(config: TrainConfig, console: Console) -> Path:
     folder = _open_run(config)
     try:
         if stored is None or world is None:
-            stored = _made_handoffs(config, folder, console)
+            try:
+                stored = _made_handoffs(config, folder, console)
+            except MjxGraspError:
+                if config.resume is None:
+                    _discard_run(folder)
+                raise
             world = _build(scene, stored, config, console)
         _run(folder, resumed, config, world, stored, console)
     except KeyboardInterrupt as interrupt:
@@ -246,11 +254,19 @@ def _open_run(config: TrainConfig) -> Path:
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
-    with replacing(folder / "config.json") as temporary:
-        temporary.write_text(json.dumps(to_json(config), indent=2))
-    with replacing(folder / "provenance.json") as temporary:
-        temporary.write_text(json.dumps(provenance(config.seed), indent=2))
+    contents = (to_json(config), provenance(config.seed))
+    for name, content in zip(_OPENING, contents, strict=True):
+        with replacing(folder / name) as temporary:
+            temporary.write_text(json.dumps(content, indent=2))
     return folder
+
+
+def _discard_run(folder: Path) -> None:
+    """Takes back what `_open_run` wrote, for a run that cannot begin."""
+    for name in _OPENING:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:

@@ -146,6 +146,8 @@ def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
     refused(replace(config, handoffs=damaged), match=r"damaged\.npz")
     bowl = replace(config, objects=("bowl",), handoffs=asset_path("handoffs_standins.npz"))
     refused(bowl, match="--objects: found 'bowl'")
+    monkeypatch.setattr(train_module, "build_scene_of", lambda *_: None)
+    refused(replace(config, handoffs_per_object=0), match="per_object")
     monkeypatch.setitem(sys.modules, "wandb", None)
     project = replace(config, loop=LoopConfig(wandb_project="foo"))
     refused(project, match=r"--loop\.wandb-project.*mjx_grasp\[wandb\]")

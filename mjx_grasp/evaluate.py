@@ -17,7 +17,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M, ClosingConfig, StartNoise
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
@@ -25,6 +25,7 @@ from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import Trials, paired_draws, run_trials, zero_controller
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.learning.policy import Policy, load_policy
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.provenance import provenance
 from mjx_grasp.sim.scene import SceneConfig
 
@@ -66,8 +67,15 @@ class EvaluateConfig:
             raise InputError("--episodes", self.episodes, "at least 1")
         if self.worlds < 1:
             raise InputError("--worlds", self.worlds, "at least 1")
-        if self.squeeze_force < 0:
+        if not 0 <= self.squeeze_force < math.inf:
             raise InputError("--squeeze-force", self.squeeze_force, "0 N or more")
+        if not 0 <= self.offset_mm * 1e-3 <= MAX_OFFSET_M:
+            raise InputError("--offset-mm", self.offset_mm, f"0 to {1e3 * MAX_OFFSET_M:g} mm")
+        if not 0 <= math.radians(self.angle_deg) <= MAX_ANGLE_RAD:
+            most = math.degrees(MAX_ANGLE_RAD)
+            raise InputError("--angle-deg", self.angle_deg, f"0 to {most:.1f} degrees")
+        if not 0 < self.friction < math.inf:
+            raise InputError("--friction", self.friction, "a positive number")
 
     @property
     def noise(self) -> StartNoise:
@@ -164,6 +172,24 @@ def states_of(handoffs: HandoffSet, names: Sequence[str], part: str) -> HandoffS
     return training if part == "training" else evaluation
 
 
+def chosen_states(
+    stored: HandoffSet, config: EvaluateConfig
+) -> tuple[list[str], list[str], HandoffSet]:
+    """The objects that can be evaluated, those that cannot, and the former's states.
+
+    Raises:
+        InputError: An unknown object, or none with states in the part of the set.
+    """
+    asked = resolve(config.objects)
+    part = states_of(stored, [n for n in asked if n in stored.object_names], config.states)
+    names, without = eligible(asked, part)
+    if not names:
+        counts = states_of(stored, stored.object_names, config.states).counts()
+        known = ", ".join(n for n in counts if counts[n]) or "none"
+        raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
+    return names, without, part.select(names)
+
+
 def main(config: EvaluateConfig) -> None:
     """The command."""
     console = Console(stderr=True)
@@ -172,15 +198,10 @@ def main(config: EvaluateConfig) -> None:
     if config.controller == "policy":
         policy = load_policy(config.policy or asset_path("policy.npz"))
     stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
-    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
-    names, without = eligible(scene.object_names, stored)
+    names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
-    if not names:
-        raise InputError(
-            "--objects", config.objects, f"objects of {', '.join(stored.object_names)}"
-        )
-    states = states_of(stored, names, config.states)
+    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     world = build_world(scene, states, ClosingConfig())
     rows, _ = evaluate(world, names, config, policy, stored.kind, console)
     write_results(config.out, rows, provenance(config.seed), not_eligible=without)

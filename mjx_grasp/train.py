@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import shlex
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,21 +23,26 @@ from rich.console import Console
 from mjx_grasp.after_training import evaluate_and_report
 from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world, has_gpu
+from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world, has_gpu
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluate import eligible, states_of
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.learning.brax_env import BraxClosingEnv
-from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
+from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.log import require_wandb
 from mjx_grasp.learning.memory import device_memory, worlds_that_fit
 from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import LoopConfig, train_loop
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.provenance import provenance
 from mjx_grasp.sim.scene import Scene, SceneConfig
+
+_OPENING = ("config.json", "provenance.json")
+"""Files that are written when a run is opened."""
 
 Preset = Literal["auto", "cpu", "gpu", "paper"]
 
@@ -45,7 +52,8 @@ class TrainConfig:
     """A training run."""
 
     preset: Preset = "auto"
-    """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise."""
+    """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise. What this help shows
+    as the other settings' defaults is what the preset sets."""
     objects: tuple[str, ...] = ("eight",)
     """Objects or groups of the catalogue to train on."""
     objects_dir: Path | None = None
@@ -112,18 +120,49 @@ def preset_config(preset: Preset) -> TrainConfig:
 
 
 def train(config: TrainConfig, console: Console) -> Path:
-    """Runs a training to its end and returns the run's folder."""
+    """Runs a training to its end and returns the run's folder.
+
+    Raises:
+        InputError, FileError: A setting or file that cannot work; no folder is made then.
+        KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
+    """
+    require_wandb(config.loop.wandb_project)
+    resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
+    stored = None if config.handoffs is None else load_handoffs(config.handoffs)
+    if stored is not None:
+        _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, config.scene)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
+    world = None if stored is None else _build(scene, stored, config, console)
+    folder = _open_run(config)
+    try:
+        if stored is None or world is None:
+            try:
+                stored = _made_handoffs(config, folder, console)
+            except MjxGraspError:
+                if config.resume is None:
+                    _discard_run(folder)
+                raise
+            world = _build(scene, stored, config, console)
+        _run(folder, resumed, config, world, stored, console)
+    except KeyboardInterrupt as interrupt:
+        said = str(interrupt) or "interrupted"
+        again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
+        raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
+    return folder
+
+
+def _run(
+    folder: Path,
+    resumed: Path | None,
+    config: TrainConfig,
+    world: World,
+    handoffs: HandoffSet,
+    console: Console,
+) -> None:
+    """Trains in an opened run, keeps the policy and evaluates it."""
     ppo = config.ppo
-    folder, resumed = _open_run(config)
-    handoffs = _handoffs(config, folder, console)
-    names, without = eligible(scene.object_names, handoffs)
-    if without:
-        console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
-    if not names:
-        raise InputError("objects", config.objects, "an object with pre-grasp states")
-    world = build_world(scene, states_of(handoffs, names, "training"), config.task)
+    names, _ = eligible(world.scene.object_names, handoffs)
     env = BraxClosingEnv(
         world.env(config.engine, ppo.worlds, config.task, config.noise, ppo.privileged_critic),
         ppo.worlds,
@@ -142,7 +181,28 @@ def train(config: TrainConfig, console: Console) -> Path:
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
         evaluate_and_report(folder, config, world, held_out, console)
-    return folder
+
+
+def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
+    """Splits objects into those with start states and those without.
+
+    Raises:
+        InputError: None has any.
+    """
+    have, without = eligible(names, handoffs)
+    if not have:
+        counts = handoffs.counts()
+        known = ", ".join(n for n in counts if counts[n]) or "none"
+        raise InputError("--objects", ", ".join(names), f"objects with pre-grasps ({known})")
+    return have, without
+
+
+def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Console) -> World:
+    """The scene with the training's share of the start states."""
+    names, without = _trainable(scene.object_names, handoffs)
+    if without:
+        console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
+    return build_world(scene, states_of(handoffs, names, "training"), config.task)
 
 
 def to_json(config: Any) -> Any:
@@ -185,28 +245,33 @@ def from_json(stored: dict[str, Any]) -> TrainConfig:
     return build(TrainConfig, values)
 
 
-def _open_run(config: TrainConfig) -> tuple[Path, Path | None]:
-    """The run's folder, and the checkpoint to go on from, if any."""
+def _open_run(config: TrainConfig) -> Path:
+    """The run's folder; a new run's configuration and provenance are written to it."""
     if config.resume is not None:
-        done = checkpoints(config.resume / "checkpoints")
-        return config.resume, done[-1] if done else None
+        return config.resume
     folder = config.out or Path("runs") / f"{config.preset}-{time.strftime('%Y%m%d-%H%M%S')}"
     if (folder / "config.json").exists():
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
     check_writable("--out", folder / "config.json")
-    with replacing(folder / "config.json") as temporary:
-        temporary.write_text(json.dumps(to_json(config), indent=2))
-    with replacing(folder / "provenance.json") as temporary:
-        temporary.write_text(json.dumps(provenance(config.seed), indent=2))
-    return folder, None
+    contents = (to_json(config), provenance(config.seed))
+    for name, content in zip(_OPENING, contents, strict=True):
+        with replacing(folder / name) as temporary:
+            temporary.write_text(json.dumps(content, indent=2))
+    return folder
 
 
-def _handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:
-    """The given set, or one made now and kept in the run's folder."""
-    if config.handoffs is not None:
-        return load_handoffs(config.handoffs)
+def _discard_run(folder: Path) -> None:
+    """Takes back what `_open_run` wrote, for a run that cannot begin."""
+    for name in _OPENING:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:
+    """The set in the run's folder, made now if it is not there yet."""
     path = folder / "handoffs.npz"
     if not path.exists():
         from mjx_grasp.handoffs import make_handoffs
@@ -261,7 +326,8 @@ def parse(argv: list[str]) -> TrainConfig:
             raise InputError("--resume", " ".join(argv), "no other flag: a run keeps its settings")
         return stored_config(known.resume)
     default = preset_config(known.preset)
-    config = tyro.cli(TrainConfig, args=argv, default=default, description=__doc__)
+    asked = replace(default, preset=known.preset)  # so that the help's default is auto, not cpu
+    config = tyro.cli(TrainConfig, args=argv, default=asked, description=__doc__)
     return replace(config, preset=default.preset)
 
 
@@ -274,6 +340,8 @@ def stored_config(folder: Path) -> TrainConfig:
     path = folder / "config.json"
     try:
         stored = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise FileError(folder, "no run: config.json is missing", "a run's folder") from None
     except (OSError, ValueError) as error:
         raise FileError(path, f"no readable configuration ({error})", "a run's folder") from None
     return replace(from_json(stored), resume=folder)

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from typed import refusal
 
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp import train as train_module
+from mjx_grasp.assets import asset_path
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.train import parse, preset_config, stored_config
+from mjx_grasp.learning.run import LoopConfig
+from mjx_grasp.train import parse, preset_config, stored_config, train
 
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
@@ -121,5 +127,47 @@ def test_presets_differ_as_they_say():
 def test_resume_takes_no_other_flag(tmp_path):
     with pytest.raises(InputError, match="no other flag"):
         parse(["--resume", str(tmp_path), "--seed", "3"])
-    with pytest.raises(FileError, match=r"config\.json"):
+    with pytest.raises(FileError, match=r"no run: config\.json is missing"):
         stored_config(tmp_path)
+
+
+def refused(config, *, match):
+    """A training that ends before there is a folder of its own."""
+    with pytest.raises(MjxGraspError, match=match):
+        train(replace(config, out=Path("run")), Console(quiet=True))
+    assert not Path("run").exists()
+
+
+def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(train_module, "build_scene_of", None)  # nothing long is begun
+    config = preset_config("cpu")
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(b"PK")
+    refused(replace(config, handoffs=damaged), match=r"damaged\.npz")
+    bowl = replace(config, objects=("bowl",), handoffs=asset_path("handoffs_standins.npz"))
+    refused(bowl, match="--objects: found 'bowl'")
+    monkeypatch.setattr(train_module, "build_scene_of", lambda *_: None)
+    refused(replace(config, handoffs_per_object=0), match="per_object")
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    project = replace(config, loop=LoopConfig(wandb_project="foo"))
+    refused(project, match=r"--loop\.wandb-project.*mjx_grasp\[wandb\]")
+
+
+def test_an_interrupted_run_says_how_to_continue(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt("interrupted after iteration 3")
+
+    monkeypatch.setattr(train_module, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(train_module, "_made_handoffs", interrupted)
+    config = replace(preset_config("cpu"), out=Path("a run"))
+    expected = "iteration 3; continue with: python -m mjx_grasp.train --resume 'a run'"
+    with pytest.raises(KeyboardInterrupt, match=expected):
+        train(config, Console(quiet=True))
+
+
+def test_help_of_the_preset_says_how_it_is_chosen(capsys):
+    with pytest.raises(SystemExit):
+        parse(["--help"])
+    said = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    assert "(default: auto)" in said
+    assert parse([]).preset == "cpu"

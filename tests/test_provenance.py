@@ -84,6 +84,7 @@ def test_devices_in_words():
         (InputError("--worlds", 0, "at least 1"), 2, "error: --worlds: found 0"),
         (FileError("a.npz", "nothing", "a policy"), 2, "error: a.npz: found nothing"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt("continue with: x"), 130, "continue with: x"),
     ],
 )
 def test_commands_end_with_one_line(capsys, error, status, said):

@@ -7,6 +7,11 @@ from typing import Literal
 
 from mjx_grasp.errors import InputError
 
+MAX_OFFSET_M = 0.05
+"""Largest object offset that a start may have [m]."""
+MAX_ANGLE_RAD = 0.8
+"""Largest object rotation that a start may have [rad]."""
+
 
 @dataclass(frozen=True)
 class ClosingConfig:
@@ -141,10 +146,10 @@ class StartNoise:
     """Range of the factor on the object's mass [-]."""
 
     def __post_init__(self):
-        if not 0 <= self.offset_m <= 0.05:
-            raise InputError("StartNoise.offset_m", self.offset_m, "0 to 0.05 m")
-        if not 0 <= self.angle_rad <= 0.8:
-            raise InputError("StartNoise.angle_rad", self.angle_rad, "0 to 0.8 rad")
+        if not 0 <= self.offset_m <= MAX_OFFSET_M:
+            raise InputError("StartNoise.offset_m", self.offset_m, f"0 to {MAX_OFFSET_M} m")
+        if not 0 <= self.angle_rad <= MAX_ANGLE_RAD:
+            raise InputError("StartNoise.angle_rad", self.angle_rad, f"0 to {MAX_ANGLE_RAD} rad")
         for name in ("friction", "mass_scale"):
             low, high = getattr(self, name)
             if not 0 < low <= high:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from mjx_grasp.errors import InputError
+
+
+def _whole_from_1(config: object, *names: str) -> None:
+    for name in names:
+        if getattr(config, name) < 1:
+            field = f"{type(config).__name__}.{name}"
+            raise InputError(field, getattr(config, name), "a whole number from 1")
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,17 @@ class SamplingConfig:
     min_distance: float = 0.008
     """of the candidates of one pose, thumb contacts are at least this far apart [m]"""
 
+    def __post_init__(self):
+        for name in ("x_range", "y_range"):
+            low, high = getattr(self, name)
+            if not -math.inf < low <= high < math.inf:
+                raise InputError(f"SamplingConfig.{name}", (low, high), "low <= high [m]")
+        _whole_from_1(self, "poses_per_round", "candidates_per_pose")
+        if not self.temperature > 0:
+            raise InputError("SamplingConfig.temperature", self.temperature, "a positive number")
+        if not self.min_distance >= 0:
+            raise InputError("SamplingConfig.min_distance", self.min_distance, "0 m or more")
+
 
 @dataclass(frozen=True)
 class IkConfig:
@@ -66,6 +85,11 @@ class IkConfig:
     """kept from every joint limit [rad]"""
     tolerance: float = 0.005
     """a larger tip error rejects [m]"""
+
+    def __post_init__(self):
+        _whole_from_1(self, "iterations", "restarts", "library_size")
+        if not self.tolerance > 0:
+            raise InputError("IkConfig.tolerance", self.tolerance, "a positive length [m]")
 
 
 @dataclass(frozen=True)

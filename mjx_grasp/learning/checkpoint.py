@@ -69,6 +69,19 @@ def checkpoints(folder: str | Path) -> list[Path]:
     return [path for _, path in sorted(numbered)]
 
 
+def newest_checkpoint(folder: str | Path) -> Path | None:
+    """The checkpoint to go on from, None if there is none yet.
+
+    Raises:
+        FileError: It is damaged; the message names the newest one that is not.
+    """
+    done = checkpoints(folder)
+    if not done:
+        return None
+    _check_manifest(done[-1])
+    return done[-1]
+
+
 def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingEnv) -> TrainState:
     """Reads a training state back.
 
@@ -118,18 +131,26 @@ def _digests(path: Path) -> dict[str, str]:
 
 
 def _check_manifest(path: Path) -> None:
+    damage = _damage(path)
+    if damage is None:
+        return
+    others = [p for p in reversed(checkpoints(path.parent)) if p.name < path.name]
+    intact = next((p for p in others if _damage(p) is None), None)
+    expected = "an undamaged checkpoint"
+    if intact is not None:
+        expected += f"; {intact.name} is intact: remove {path.name} to resume from there"
+    raise FileError(path, damage, expected)
+
+
+def _damage(path: Path) -> str | None:
+    """What is wrong with a checkpoint's files; None if they are as they were written."""
     try:
         expected = json.loads((path / _MANIFEST).read_text())
     except (OSError, ValueError) as error:
-        raise FileError(
-            path / _MANIFEST, f"no readable manifest ({error})", "a checkpoint"
-        ) from None
+        return f"no readable manifest ({error})"
     found = _digests(path)
     changed = sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))
-    if changed:
-        raise FileError(
-            path, f"damaged or missing files ({', '.join(changed[:3])})", "an undamaged checkpoint"
-        )
+    return f"damaged or missing files ({', '.join(changed[:3])})" if changed else None
 
 
 def _packed(state: TrainState, env: BraxClosingEnv) -> dict[str, Any]:

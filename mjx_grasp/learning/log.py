@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ class MetricLog:
         from_iteration: Iterations already done; later rows are dropped.
         wandb_project: Project of Weights & Biases, if it is to be used (extra `wandb`).
         config: The run's configuration, for Weights & Biases.
+
+    Raises:
+        InputError: Weights & Biases is asked for and not installed.
     """
 
     def __init__(
@@ -32,6 +36,7 @@ class MetricLog:
     ):
         from tensorboardX import SummaryWriter
 
+        require_wandb(wandb_project)
         self._columns = columns
         path = folder / "metrics.csv"
         kept = _rows_until(path, from_iteration) if from_iteration else []
@@ -40,9 +45,14 @@ class MetricLog:
         self._csv.writeheader()
         self._csv.writerows(kept)
         self._file.flush()
-        done = int(float(kept[-1]["env_steps"])) if kept else 0
+        self._last = kept[-1] if kept else {}
+        done = int(self.number_of_last("env_steps"))
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=done + 1)
         self._wandb = _wandb_run(wandb_project, folder, config) if wandb_project else None
+
+    def number_of_last(self, name: str) -> float:
+        """A figure of the last row that a resumed run has kept; 0 where there is none."""
+        return float(self._last.get(name) or 0.0)
 
     def write(self, row: dict[str, float]) -> None:
         """Adds a row; it is on disk when this returns."""
@@ -70,11 +80,19 @@ def _rows_until(path: Path, iteration: int) -> list[dict[str, str]]:
         return [r for r in csv.DictReader(stream) if int(float(r["iteration"])) <= iteration]
 
 
-def _wandb_run(project: str, folder: Path, config: dict[str, Any] | None) -> Any:
-    try:
-        import wandb
-    except ImportError:
+def require_wandb(project: str | None) -> None:
+    """Refuses a project of Weights & Biases where that is not installed.
+
+    Raises:
+        InputError: There is a project but no package.
+    """
+    if project is not None and find_spec("wandb") is None:
         raise InputError(
-            "wandb_project", project, "the extra 'wandb' (pip install 'mjx_grasp[wandb]')"
-        ) from None
+            "--loop.wandb-project", project, "the extra 'wandb' (pip install 'mjx_grasp[wandb]')"
+        )
+
+
+def _wandb_run(project: str, folder: Path, config: dict[str, Any] | None) -> Any:
+    import wandb
+
     return wandb.init(project=project, dir=str(folder), config=config, resume="allow")

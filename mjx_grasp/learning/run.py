@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 
 from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import MjxGraspError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.checkpoint import save_checkpoint
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.interrupt import InterruptGuard
 from mjx_grasp.learning.log import MetricLog
 from mjx_grasp.learning.ppo import TrainState, make_iteration
 
@@ -76,16 +79,18 @@ def train_loop(
     Raises:
         TrainingDiverged: A NaN in loss or parameters. The state before it was checkpointed, the
             one after it is in `diverged.npz`.
+        KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
     iteration = jax.jit(make_iteration(ppo, env), donate_argnums=0)
     start = int(state.iteration)
     log = MetricLog(folder, COLUMNS, start, loop.wandb_project, run_config)
-    began, saved = time.monotonic(), time.monotonic()
+    saved = time.monotonic()
+    began = saved - log.number_of_last("seconds")
     recent: dict[str, deque[float]] = {
         n: deque(maxlen=20) for n in ("return", "success", "force_n")
     }
     counted = {"broken_worlds": 0.0, "overflows": 0.0}
-    with _progress() as progress:
+    with InterruptGuard() as interrupt, closing(log), _progress() as progress:
         task = progress.add_task("training (compiling)", total=ppo.iterations, completed=start)
         for i in range(start, ppo.iterations):
             tick = time.monotonic()
@@ -113,39 +118,47 @@ def train_loop(
                 if loop.checkpoint_every
                 else now - saved > loop.checkpoint_every_s
             )
-            if due or i + 1 == ppo.iterations:
+            stop = interrupt.requested
+            if due or stop or i + 1 == ppo.iterations:
                 save_checkpoint(folder / "checkpoints", state, env, run_config)
                 saved = time.monotonic()
-    log.close()
+            if stop:
+                raise KeyboardInterrupt(f"interrupted after iteration {i + 1}, which is kept")
     return state
 
 
 def _progress() -> Progress:
+    """One line; where it is narrow the bar shrinks, then the description wraps."""
+
+    def whole() -> Column:
+        return Column(no_wrap=True)
+
     return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", table_column=Column()),
+        BarColumn(bar_width=24, table_column=Column(ratio=1)),
+        MofNCompleteColumn(table_column=whole()),
+        TimeElapsedColumn(table_column=whole()),
+        TextColumn("left", table_column=whole()),
+        TimeRemainingColumn(table_column=whole()),
         refresh_per_second=2,
+        expand=True,
     )
 
 
 def _describe(
     row: dict[str, float], recent: dict[str, deque[float]], counted: dict[str, float]
 ) -> str:
-    def mean(name: str) -> float:
-        return float(np.mean(recent[name])) if recent[name] else float("nan")
+    def mean(name: str, unit: float = 1.0, digits: int = 0) -> str:
+        return f"{unit * np.mean(recent[name]):.{digits}f}" if recent[name] else "-"
 
     text = (
-        f"{row['steps_per_s']:,.0f} steps/s  return {mean('return'):.0f}  "
-        f"success {100 * mean('success'):.0f} %  force {mean('force_n'):.1f} N"
+        f"{row['steps_per_s']:,.0f} steps/s, return {mean('return')}, "
+        f"success {mean('success', 100)} %, {mean('force_n', digits=1)} N"
     )
     if counted["broken_worlds"]:
-        text += f"  [red]{counted['broken_worlds']:.0f} worlds broken[/red]"
+        text += f", [red]{counted['broken_worlds']:.0f} worlds broken[/red]"
     if counted["overflows"]:
-        text += f"  [yellow]{counted['overflows']:.0f} buffer overflows[/yellow]"
+        text += f", [yellow]{counted['overflows']:.0f} buffer overflows[/yellow]"
     return text
 
 

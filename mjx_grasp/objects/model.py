@@ -104,6 +104,15 @@ def load_objects(
     return loaded
 
 
+def stand_in_hash(name: str) -> str:
+    """The content hash that the parametric stand-in of an object has.
+
+    Args:
+        name: A name of the catalogue.
+    """
+    return _content_hash(_mesh(name, None))
+
+
 def _mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
     catalogue = load_catalogue()
     if name not in catalogue:

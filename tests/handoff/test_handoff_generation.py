@@ -196,6 +196,7 @@ def test_the_command_writes_a_set_and_its_report(tmp_path, monkeypatch, capsys):
     more = ("--objects", "gelatin_box", "--update", out, "--per-object", 4, "--out", out)
     done = command(*more, *small)
     assert done.returncode == 0, done.stderr
+    assert "10 states of 2 objects" in done.stdout
     updated = load_handoffs(out)
     assert updated.counts() == {"foam_brick": 6, "gelatin_box": 4}
     np.testing.assert_array_equal(updated.select(("foam_brick",)).q, handoffs.q)

@@ -1,29 +1,35 @@
 import csv
+import io
 import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError
 
 sys.path.insert(0, str(Path(__file__).parent))
 import tiny_training as tiny
 
+from mjx_grasp.learning import run as run_module
 from mjx_grasp.learning.checkpoint import (
     checkpoint_config,
     checkpoints,
+    newest_checkpoint,
     restore_checkpoint,
     save_checkpoint,
 )
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.log import MetricLog
 from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks
 from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged, train_loop
 
@@ -130,6 +136,19 @@ def test_damaged_checkpoint_is_refused_by_name(env, trained, tmp_path, how):
         restore_checkpoint(path, trained[0][0], env)
 
 
+def test_damaged_checkpoint_is_refused_with_the_one_to_take_instead(env, trained, tmp_path):
+    older, newest = (save_checkpoint(tmp_path, s, env, tiny.CONFIG) for s in trained[0][1:3])
+    assert newest_checkpoint(tmp_path) == newest
+    data_files(newest)[0].unlink()
+    with pytest.raises(FileError, match=f"{older.name} is intact: remove {newest.name}"):
+        newest_checkpoint(tmp_path)
+    data_files(older)[0].unlink()
+    with pytest.raises(FileError, match=newest.name) as error:
+        newest_checkpoint(tmp_path)
+    assert "intact" not in str(error.value)
+    assert newest_checkpoint(tmp_path / "nowhere") is None
+
+
 def test_changed_byte_is_refused_or_does_no_harm(env, trained, tmp_path):
     """A training must never go on from numbers that it did not write."""
     path = save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
@@ -192,6 +211,69 @@ def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
     same(back, good)
     with np.load(folder / "diverged.npz") as stored:
         assert any(not np.isfinite(stored[n]).all() for n in stored.files)
+
+
+@pytest.fixture
+def counting(monkeypatch, trained):
+    """The loop with iterations that only count, from a state of its own."""
+    numbers = dict.fromkeys((*COLUMNS, "total_loss"), 1.0) | dict.fromkeys(
+        ("broken_worlds", "overflows"), 0.0
+    )
+    monkeypatch.setattr(
+        run_module,
+        "make_iteration",
+        lambda ppo, env: lambda state: (state._replace(iteration=state.iteration + 1), numbers),
+    )
+    return jax.tree.map(jnp.copy, trained[0][0])
+
+
+def test_an_interrupted_training_keeps_the_iteration_it_was_in(
+    env, trained, counting, tmp_path, monkeypatch
+):
+    write = MetricLog.write
+
+    def interrupted(log, row):
+        write(log, row)
+        if row["iteration"] == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(MetricLog, "write", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt, match="after iteration 3"):
+            train_loop(tmp_path, counting, env, tiny.ppo(9), LoopConfig(), tiny.CONFIG)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    (path,) = checkpoints(tmp_path / "checkpoints")
+    back = restore_checkpoint(path, init_state(tiny.ppo(9), env, seed=9), env)
+    assert int(back.iteration) == 3
+    same(back.params, trained[0][0].params)
+
+
+def test_the_time_of_a_resumed_training_goes_on(env, counting, tmp_path):
+    header = ",".join(COLUMNS)
+    row = ",".join({"iteration": "1", "seconds": "500.0"}.get(name, "16") for name in COLUMNS)
+    (tmp_path / "metrics.csv").write_text(f"{header}\n{row}\n")
+    state = counting._replace(iteration=jnp.ones((), jnp.int32))
+    train_loop(tmp_path, state, env, tiny.ppo(3), LoopConfig(), tiny.CONFIG)
+    with (tmp_path / "metrics.csv").open() as stream:
+        seconds = [float(r["seconds"]) for r in csv.DictReader(stream)]
+    assert seconds[0] == 500 < seconds[1] < seconds[2] < 600
+
+
+@pytest.mark.parametrize("speed, known", [(2345.0, 1), (112_345.0, 1), (2345.0, 0)])
+def test_count_and_times_are_whole_on_a_narrow_terminal(speed, known):
+    figures = {"return": 123.0, "success": 0.67, "force_n": 1.3}
+    recent = {name: deque([x][:known]) for name, x in figures.items()}
+    counted = {"broken_worlds": 0.0, "overflows": 0.0}
+    text = run_module._describe({"steps_per_s": speed}, recent, counted)
+    with run_module._progress() as progress:
+        progress.add_task(text, total=240, completed=67)
+        console = Console(file=io.StringIO(), width=80)
+        console.print(progress.get_renderable())
+    (line,) = console.file.getvalue().splitlines()
+    assert text in line and "67/240 0:00:00 left -:--:--" in line
+    assert "return 123, success 67 %, 1.3 N" in line if known else "return -, success - %" in line
 
 
 def script(folder, iterations, seconds=0.0):

@@ -30,12 +30,16 @@ def rate_plot(result: dict[str, Any], label: str) -> bytes:
     axes.spines[["top", "right"]].set_visible(False)
     for k, (tolerance, ours) in enumerate(result["rate_percent"].items()):
         colour = f"C{k}"
-        axes.plot(BUDGETS, list(ours.values()), "o-", color=colour, label=f"{tolerance} mm")
+        # Thinner one over the other: where they agree each is seen.
+        width = 9.0 - 1.8 * k
+        axes.plot(
+            BUDGETS, list(ours.values()), color=colour, linewidth=width, label=f"{tolerance} mm"
+        )
         axes.plot(BUDGETS, PAPER_RATE[tolerance], "--", color=colour, alpha=0.6)
     axes.set_ylim(-2, 102)
     axes.set_xlabel("fine-adjustment time [s]", color=_GREY)
     axes.set_ylabel("reaches converged [%]", color=_GREY)
-    axes.set_title(f"{label} (solid) and the paper (dashed)", loc="left", fontsize=10, color=_GREY)
+    axes.set_title(f"{label} (solid) and published (dashed)", loc="left", fontsize=10, color=_GREY)
     axes.legend(frameon=False, fontsize=8, loc="lower right")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130)

@@ -105,11 +105,13 @@ def test_batched_is_looped_and_jit_is_eager(drawn):
     some = np.arange(0, 1024, 300)
     few = jax.tree.map(lambda leaf: leaf[some], (problems, warm))
     together = jax.vmap(lambda p, w: solve_qp(p, w, config).x)(*few)
+    # The order of sums differs, and iterations that have not ended amplify it: allowed is a tenth
+    # of what the solver's own error may be in the median.
     for k in range(len(some)):
         alone = jax.tree.map(lambda leaf, k=k: leaf[k], few)
-        np.testing.assert_allclose(solve_qp(*alone, config).x, together[k], atol=2e-4)
+        np.testing.assert_allclose(solve_qp(*alone, config).x, together[k], atol=1e-3)
         jitted = jax.jit(lambda p, w: solve_qp(p, w, config).x)(*alone)
-        np.testing.assert_allclose(jitted, together[k], atol=2e-4)
+        np.testing.assert_allclose(jitted, together[k], atol=1e-3)
 
 
 def test_infeasible_problem_says_so():

@@ -143,7 +143,7 @@ def test_command_as_typed(tmp_path):
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
-    assert "paper" in done.stdout and "tolerance" in done.stdout
+    assert "published" in done.stdout and "tolerance" in done.stdout
     result = json.loads(out.read_text())
     assert result["poses"] == 4 and result["provenance"]["seed"] == 9
     assert set(result["rate_percent"]) == {"10", "15", "20", "30", "50"}

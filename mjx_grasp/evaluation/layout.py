@@ -34,7 +34,14 @@ class Table:
         """The table for a terminal."""
         table = RichTable(title=self.title, title_justify="left")
         for i, name in enumerate(self.header):
-            table.add_column(name, justify="left" if i < self.names else "right")
+            # Nothing is cut off where it is narrow, and names are not taken apart.
+            words = " ".join(row[i] for row in self.rows).split() if i < self.names else []
+            table.add_column(
+                name,
+                justify="left" if i < self.names else "right",
+                overflow="fold",
+                min_width=max(map(len, words), default=None),
+            )
         for i, row in enumerate(self.rows):
             last = i == len(self.rows) - self.summary - 1
             table.add_row(*row, end_section=last)

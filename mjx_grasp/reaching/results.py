@@ -219,7 +219,7 @@ def _nearest(record: ReachRecord, limits: LimitConfig, count: int = 5) -> dict[s
 
 def rate_table(result: dict[str, Any], label: str) -> Table:
     """The table of method §3 with the paper's figures beside ours, [%]."""
-    header = ("tolerance mm", "", *(f"{b:g} s" for b in BUDGETS), "solvable")
+    header = ("mm", "", *(f"{b:g} s" for b in BUDGETS), "solvable")
     rows = []
     for tolerance, ours in result["rate_percent"].items():
         solvable = result.get("solvable_percent", {}).get(tolerance)
@@ -227,7 +227,7 @@ def rate_table(result: dict[str, Any], label: str) -> Table:
         rows.append((tolerance, label, *(f"{v:.1f}" for v in ours.values()), share))
         paper = PAPER_RATE[tolerance]
         rows.append(("", "published", *(f"{v:.1f}" for v in paper), ""))
-    title = f"Reaches converged, % of {result['poses']} poses, by fine-adjustment time"
+    title = f"Reaches converged, % of {result['poses']} poses, by tolerance and fine-adjusting time"
     return Table(title, header, tuple(rows), names=2)
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from mjx_grasp.cli import counting_progress
 from mjx_grasp.compilation import compile_seconds
 from mjx_grasp.reaching.body import reach_body
 from mjx_grasp.reaching.controller import Reacher
@@ -59,7 +59,7 @@ def run_sweep(
     dt, cap = settings.reach.controller.dt, settings.reach.controller.timeout
     seconds: dict[str, float] = {}
     plans, least_error = None, None
-    with _progress(console) as progress:
+    with counting_progress(console) as progress:
         if settings.plan or config.bound:
             plan = settings.plan or PlanConfig()
             task = progress.add_task("library of starts", total=None)
@@ -88,14 +88,3 @@ def run_sweep(
     result["seconds"] = {name: round(value, 2) for name, value in seconds.items()}
     classes = classify(body, limits, record, least_error)
     return SweepRun(result, poses, record, classes)
-
-
-def _progress(console: Console | None) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console is None,
-    )

@@ -1,0 +1,105 @@
+"""Times `make train` from a fresh clone: what a newcomer's first quarter of an hour comes to.
+
+  python experiments/time_make_train.py --clone /tmp/fresh
+
+clones this repository's last commit, runs `make setup` and `make train` there, and writes how long
+they took, how far the return rose and what the evaluation found to
+`experiments/results/make_train_cpu.json`. The clone stays, with the run's report in it.
+Nothing else should run meanwhile.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from mjx_grasp.atomic import check_writable, replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError, InputError
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class TimeConfig:
+    """Where to clone to and where to write."""
+
+    clone: Path
+    """Folder to make; it must not be there."""
+    python: str = "python3"
+    """The Python that `make` is given."""
+    out: Path = ROOT / "experiments" / "results" / "make_train_cpu.json"
+    """Results file."""
+
+
+def timed(command: list[str], folder: Path | None = None) -> float:
+    """Runs a command and returns its wall-clock time [s].
+
+    Raises:
+        InputError: It failed.
+    """
+    began = time.perf_counter()
+    code = subprocess.run(command, cwd=folder, check=False).returncode
+    if code != 0:
+        raise InputError("command", " ".join(command), f"to succeed; it returned {code}")
+    return time.perf_counter() - began
+
+
+def curve(path: Path) -> dict[str, float]:
+    """Return and success at both ends of a training, each a mean over a tenth of its iterations.
+
+    Raises:
+        FileError: Too few iterations to say.
+    """
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    tenth = len(rows) // 10
+    if tenth == 0:
+        raise FileError(path, f"{len(rows)} iterations", "ten or more")
+
+    def mean(name: str, part: list[dict[str, str]]) -> float:
+        return float(np.nanmean([float(r[name]) for r in part]))
+
+    return {
+        "iterations": len(rows),
+        "env_steps": int(float(rows[-1]["env_steps"])),
+        "training_s": float(rows[-1]["seconds"]),
+        "return_first_tenth": mean("return", rows[:tenth]),
+        "return_last_tenth": mean("return", rows[-tenth:]),
+        "success_first_tenth_percent": 100 * mean("success", rows[:tenth]),
+        "success_last_tenth_percent": 100 * mean("success", rows[-tenth:]),
+    }
+
+
+def main(config: TimeConfig) -> None:
+    """Clones, runs, and writes the results file."""
+    if config.clone.exists():
+        raise InputError("--clone", str(config.clone), "a folder that is not there yet")
+    check_writable("--out", config.out)
+    timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
+    setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
+    train_s = timed(["make", "train"], config.clone)
+    (run,) = (config.clone / "runs").iterdir()
+    results = json.loads((run / "results.json").read_text())
+    durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}
+    document = {
+        "schema": results["schema"],
+        "label": results["label"],
+        "make_train": durations | curve(run / "metrics.csv"),
+        "rows": results["rows"],
+        "provenance": results["provenance"],
+    }
+    with replacing(config.out) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    print(f"{durations['total_s'] / 60:.1f} min; {run / 'report.html'}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(TimeConfig, description=__doc__)))

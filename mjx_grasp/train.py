@@ -100,7 +100,7 @@ def preset_config(preset: Preset) -> TrainConfig:
             objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",
-            ppo=PPOConfig(worlds=128, unroll=32, iterations=240),
+            ppo=PPOConfig(worlds=128, unroll=32, iterations=360),
         )
     if preset == "gpu":
         return TrainConfig(

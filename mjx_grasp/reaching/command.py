@@ -29,6 +29,8 @@ from mjx_grasp.robot.kinematics import Motion
 # How the escape speed that is asked for changes from tick to tick, where it cannot and can be had.
 _LESS, _MORE = 0.5, 1.1
 _TINY = 1e-9
+# Of the margin, what a command that is scaled back leaves.
+_ROOM = 0.25
 
 
 class Goals(NamedTuple):
@@ -145,7 +147,7 @@ def proximities(
 def half_spaces(
     body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
 ) -> tuple[Float[Array, "m joints"], Float[Array, " m"], dict[str, Proximity]]:
-    """``n̂ᵀJ x ≥ min((d_safe − d)/H, v_escape)`` for all that must stay apart.
+    """``n̂ᵀJ x ≥ min((d_safe + margin − d)/H, v_escape)`` for all that must stay apart.
 
     Returns:
         The rows, their bounds in [m/s], and the distances by kind.
@@ -154,7 +156,7 @@ def half_spaces(
     near, safe = proximities(body, motion, around, config)
     everything = stacked(list(near.values()))
     drift = everything.drift if limits.follow_object else 0.0
-    bound = (safe - everything.distance) / limits.horizon
+    bound = (safe + limits.margin - everything.distance) / limits.horizon
     bound = jnp.minimum(bound - drift, limits.escape_speed)
     return everything.slope, bound, near
 
@@ -170,8 +172,8 @@ def scaled_back(
     """A command, less of it where its tick would end too near to something.
 
     A half-space bounds the point that is nearest now. Another one may be nearest at the end of the
-    tick: there no distance may have become less than is asked for, but for the overrun, and less
-    than if the robot had stood still. What is in contact has no clearance to lose.
+    tick: there no distance may be less than its clearance and less than if the robot had stood
+    still. What is in contact has no clearance to lose.
 
     Args:
         body: The robot.
@@ -182,18 +184,22 @@ def scaled_back(
         near: Distances now.
     """
     dt, limits = config.controller.dt, config.limits
-    then, safe = proximities(
-        body,
-        body.kinematics.motion(q + dt * x),
-        around.after(dt) if limits.follow_object else around,
-        config,
-    )
-    now = stacked([near[kind] for kind in then])
+    later = around.after(dt) if limits.follow_object else around
+
+    def after(x):
+        then, safe = proximities(body, body.kinematics.motion(q + dt * x), later, config)
+        return stacked(list(then.values())).distance, safe
+
+    now = stacked(list(near.values()))
     still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
-    moved = stacked(list(then.values())).distance
-    least = jnp.minimum(still, safe - limits.overrun)
+    moved, safe = after(x)
+    least = jnp.minimum(still, safe + _ROOM * limits.margin)
     share = (still - least) / jnp.maximum(still - moved, _TINY)
-    return jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
+    x = jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
+    # Distances are not linear in the joints: what is left of the command has to show that it holds.
+    moved, _ = after(x)
+    holds = (moved >= jnp.minimum(still, safe)) | (still <= 0)
+    return jnp.where(jnp.all(holds), x, 0.0)
 
 
 def table_clearances(body: ReachBody, config: ReachConfig) -> list[float]:
@@ -251,7 +257,7 @@ def command(
         used |= worsens <= config.solver.feasible
         escape = jnp.where(used, jnp.minimum(_MORE * escape, 1.0), _LESS * escape)
     x = jnp.where(used, solution.x, 0.0)
-    if np.isfinite(config.limits.overrun):
+    if config.limits.margin > 0:
         x = scaled_back(body, config, q, x, around, near)
     obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
     table = near["table"].distance - jnp.asarray(table_clearances(body, config))

@@ -100,9 +100,10 @@ class LimitConfig:
     """finger to finger [m]"""
     escape_speed: float = 0.35
     """at most, asked for where a clearance is violated [m/s]"""
-    overrun: float = float("inf")
-    """a command is scaled back where a clearance would end its tick this far below what is asked
-    for; infinite in the paper, which bounds the nearest points alone [m]"""
+    margin: float = 0.0
+    """half-spaces ask for this much more than the clearances, so that these themselves hold: a
+    command that would end its tick below one is scaled back, if need be to nothing; 0 in the
+    paper, which bounds the nearest points alone [m]"""
     follow_object: bool = False
     """clearances and targets move with the object's own velocity"""
     object_speed: float = 0.5

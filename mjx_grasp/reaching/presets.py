@@ -53,7 +53,7 @@ def _additions() -> dict[str, Preset]:
                 "handoff_tips": 0.008,
                 "replan_moved": 0.03,
             },
-            limits={"follow_object": True, "overrun": 0.0008},
+            limits={"follow_object": True, "margin": 0.0008},
         ),
     )
     return steps
@@ -65,7 +65,7 @@ where not all clearances can be restored at once; ``reachability``: the selectio
 for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
 via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff
 when every tip is near, and a command is scaled back where its tick would end too near to something,
-which the nearest points alone do not rule out."""
+which bounds of the nearest points alone do not rule out."""
 
 
 def preset(name: str) -> Preset:

@@ -100,6 +100,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
             "ablation": stage_tables.reach_ablation(folder / "reach_ablation.json"),
+            "limits": stage_tables.reach_limits(
+                [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]
+            ),
+            "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
             "files": _provenance(files).markdown() if files else NOTHING,
         },

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import tyro
 
-from mjx_grasp.after_training import best_grasp
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import build_scene_of, build_world
@@ -20,6 +19,7 @@ from mjx_grasp.evaluate import shipped_handoffs, states_of
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.training.after import best_grasp
 from mjx_grasp.viz.trajectory import save_trajectory
 from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
 

@@ -133,10 +133,72 @@ def reach_rates(path: Path) -> str:
             rates.markdown(),
             f"Tip errors at handoff in mm: {errors}.",
             f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
-            f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick (10 mm are "
-            f"asked for), and no joint was faster than {safe['largest_speed_over_limit']:.2f} of "
-            "its limit.",
+            f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick ("
+            f"{1e3 * d['settings']['reach']['limits']['object_clearance']:.0f} mm are asked for), "
+            f"no two fingers nearer than {safe['least_finger_distance_mm']:.1f} mm, and no joint "
+            f"was faster than {safe['largest_speed_over_limit']:.2f} of its limit.",
         )
+    )
+
+
+def reach_limits(paths: Sequence[Path]) -> str:
+    """The worst of every tick of the sweeps, by how a reach started."""
+    names = {
+        "safe": "as far as asked or farther",
+        "near": "nearer",
+        "in_contact": "in contact",
+    }
+    rows = []
+    for path in paths:
+        d = _read(path)
+        for kind, name in names.items() if d else ():
+            worst = d["limits"][kind]
+            rows.append(
+                (
+                    d["provenance"]["device"],
+                    name,
+                    f"{worst['reaches']:,}",
+                    f"{worst['ticks']:,}",
+                    f"{worst['largest_speed_over_limit']:.2f}",
+                    f"{worst['farthest_beyond_joint_limit_rad']:.2f}",
+                    f"{worst['least_object_distance_mm']:.2f}",
+                    f"{worst['most_object_distance_lost_mm']:.3f}",
+                    f"{worst['least_table_height_over_asked_mm']:.2f}",
+                    f"{worst['least_finger_distance_mm']:.2f}",
+                    f"{worst['least_arm_to_itself_mm']:.1f}",
+                    f"{worst['ticks_infeasible']}",
+                )
+            )
+    header = (
+        *(
+            "device",
+            "start",
+            "reaches",
+            "ticks",
+            "speed over its limit",
+            "beyond a joint limit rad",
+        ),
+        *("to object mm", "lost of it mm", "over the table's mm", "between fingers mm"),
+        *("arm to itself mm", "infeasible ticks"),
+    )
+    table = Table("Limits", header, tuple(rows), names=2)
+    return table.markdown() if rows else NOTHING
+
+
+def first_run(path: Path) -> str:
+    """What `make train` took from a fresh clone, and what it learned."""
+    d = _read(path)
+    if d is None or "make_train" not in d:
+        return NOTHING
+    m = d["make_train"]
+    return (
+        f"`make setup` and `make train` in a fresh clone took {m['total_s'] / 60:.1f} min on "
+        f"{d['provenance']['device']}: {m['setup_s'] / 60:.1f} for the environment, "
+        f"{m['training_s'] / 60:.1f} of training, the rest start states, evaluation, "
+        f"video and report. In {m['env_steps']:,} steps the return rose from "
+        f"{m['return_first_tenth']:.0f} to {m['return_last_tenth']:.0f} and the share of lifted "
+        f"objects in training from {m['success_first_tenth_percent']:.0f} to "
+        f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
     )
 
 

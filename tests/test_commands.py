@@ -13,14 +13,16 @@ import pytest
 from rich.console import Console
 from typed import refusal
 
-from mjx_grasp import train as train_module
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
-from mjx_grasp.train import parse, preset_config, stored_config, train
+from mjx_grasp.train import parse
+from mjx_grasp.training import job
+from mjx_grasp.training.config import preset_config, stored_config
+from mjx_grasp.training.job import train
 
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
@@ -139,14 +141,14 @@ def refused(config, *, match):
 
 
 def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(train_module, "build_scene_of", None)  # nothing long is begun
+    monkeypatch.setattr(job, "build_scene_of", None)  # nothing long is begun
     config = preset_config("cpu")
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(b"PK")
     refused(replace(config, handoffs=damaged), match=r"damaged\.npz")
     bowl = replace(config, objects=("bowl",), handoffs=asset_path("handoffs_standins.npz"))
     refused(bowl, match="--objects: found 'bowl'")
-    monkeypatch.setattr(train_module, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
     refused(replace(config, handoffs_per_object=0), match="per_object")
     monkeypatch.setitem(sys.modules, "wandb", None)
     project = replace(config, loop=LoopConfig(wandb_project="foo"))
@@ -157,8 +159,8 @@ def test_an_interrupted_run_says_how_to_continue(monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt("interrupted after iteration 3")
 
-    monkeypatch.setattr(train_module, "build_scene_of", lambda *_: None)
-    monkeypatch.setattr(train_module, "_made_handoffs", interrupted)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(job, "_made_handoffs", interrupted)
     config = replace(preset_config("cpu"), out=Path("a run"))
     expected = "iteration 3; continue with: python -m mjx_grasp.train --resume 'a run'"
     with pytest.raises(KeyboardInterrupt, match=expected):

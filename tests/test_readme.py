@@ -92,12 +92,21 @@ def test_the_stages_before_closing_have_their_tables(root):
             name: {"mean": 6.5, "std": 2.5, "paper": [8.7, 3.5]}
             for name in ("thumb", "index", "middle", "midpoint")
         },
+        "settings": {"reach": {"limits": {"object_clearance": 0.01}}},
         "limits": {
-            "safe": {
-                "reaches": 1234,
-                "least_object_distance_mm": 9.3,
+            kind: {
+                "reaches": reaches,
+                "ticks": 99000,
                 "largest_speed_over_limit": 0.99,
+                "farthest_beyond_joint_limit_rad": 0.0,
+                "least_object_distance_mm": 10.3,
+                "most_object_distance_lost_mm": 0.0,
+                "least_table_height_over_asked_mm": 0.4,
+                "least_finger_distance_mm": 2.5,
+                "least_arm_to_itself_mm": 21.0,
+                "ticks_infeasible": 7,
             }
+            for kind, reaches in (("safe", 1234), ("near", 56), ("in_contact", 78))
         },
         "provenance": PROVENANCE,
     }
@@ -108,6 +117,12 @@ def test_the_stages_before_closing_have_their_tables(root):
         steering | {"steering": "in line", "sigma_m": 0.02, "contacts_mm": 17.6},
     ]
     (results / "steering.json").write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
+    first = {"setup_s": 60.0, "train_s": 420.0, "total_s": 480.0, "training_s": 300.0}
+    first |= {"env_steps": 983040, "return_first_tenth": 862.0, "return_last_tenth": 1134.0}
+    first |= {"success_first_tenth_percent": 34.0, "success_last_tenth_percent": 75.0}
+    made = json.loads((results / "five.json").read_text())
+    made |= {"make_train": first, "label": "policy, preset cpu"}
+    (results / "make_train_cpu.json").write_text(json.dumps(made))
     run(root)
     main = (root / "README.md").read_text()
     for text in (
@@ -117,10 +132,13 @@ def test_the_stages_before_closing_have_their_tables(root):
         "42 s on one a card",
         "6.5 ± 2.5 (paper 8.7",
         "1,234 reaches",
+        "10.3 mm on any tick (10 mm are asked",
     ):
         assert text in main
     detail = (root / "experiments" / "README.md").read_text()
     assert "| mug | by the handle | 51 | 18 |" in detail
+    assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
+    assert "took 8.0 min" in detail and "rose from 862 to 1134" in detail
 
 
 def test_stale_sections_fail_the_check_and_stay(root):

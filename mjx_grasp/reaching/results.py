@@ -166,7 +166,8 @@ def _limits(record: ReachRecord, limits: LimitConfig) -> dict[str, Any]:
     """The worst of every tick of every reach, and of those that start alike.
 
     ``safe`` starts are as far from the object as is asked for, ``near`` ones are nearer,
-    ``in_contact`` ones touch it; their distances count from when they are first clear.
+    ``in_contact`` ones touch it; their distances count from when they are first clear. ``Lost``
+    is how much nearer a reach ever was than at its start, or than is asked for if that is less.
     """
     start, asked = np.asarray(record.start_distance), limits.object_clearance
     starts = {
@@ -189,6 +190,8 @@ def _worst(record: ReachRecord, rows: np.ndarray, asked: float) -> dict[str, flo
         return round(max(float(np.max(np.asarray(values)[rows], initial=0.0)), 0.0), 6)
 
     nearest = np.asarray(record.object_distance)[rows]
+    start = np.asarray(record.start_distance)[rows]
+    lost = np.where(start > 0, np.minimum(start, asked) - nearest, 0.0)
     infeasible = np.asarray(record.infeasible)[rows]
     return {
         "reaches": int(rows.sum()),
@@ -197,6 +200,7 @@ def _worst(record: ReachRecord, rows: np.ndarray, asked: float) -> dict[str, flo
         "farthest_beyond_joint_limit_rad": largest(record.limit_excess),
         "least_object_distance_mm": least(record.object_distance),
         "reaches_nearer_than_asked": int((nearest < asked - _ROUNDING).sum()),
+        "most_object_distance_lost_mm": _millimetres(max(np.max(lost, initial=0.0), 0.0)),
         "least_table_height_over_asked_mm": least(record.table_margin),
         "least_finger_distance_mm": least(record.finger_distance),
         "least_arm_to_itself_mm": least(record.arm_distance),

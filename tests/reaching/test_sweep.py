@@ -111,6 +111,9 @@ def test_summary_is_json_with_what_the_issue_names(body):
     assert worst["safe"]["least_object_distance_mm"] == pytest.approx(8.5)
     assert worst["safe"]["reaches_nearer_than_asked"] == 2
     assert worst["near"]["least_object_distance_mm"] == pytest.approx(3.0)
+    assert worst["near"]["most_object_distance_lost_mm"] == pytest.approx(1.0)
+    assert worst["safe"]["most_object_distance_lost_mm"] == pytest.approx(1.5)
+    assert worst["in_contact"]["most_object_distance_lost_mm"] == 0.0
     assert worst["in_contact"]["least_object_distance_mm"] == pytest.approx(1.0)
     assert worst["safe"]["largest_speed_over_limit"] == pytest.approx(0.9)
     assert worst["all"]["largest_speed_over_limit"] == pytest.approx(1.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -20,12 +19,10 @@ from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.training.config import TrainConfig
 from mjx_grasp.viz.report import write_report
 from mjx_grasp.viz.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
-
-if TYPE_CHECKING:
-    from mjx_grasp.train import TrainConfig
 
 SQUEEZE_FORCES_N = (3.0, 5.0)
 

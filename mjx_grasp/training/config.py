@@ -1,0 +1,146 @@
+"""The settings of a training run, its presets, and how they are kept with it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from mjx_grasp.closing.assemble import Engine, has_gpu
+from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.run import LoopConfig
+from mjx_grasp.sim.scene import SceneConfig
+
+Preset = Literal["auto", "cpu", "gpu", "paper"]
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run."""
+
+    preset: Preset = "auto"
+    """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise. What this help shows
+    as the other settings' defaults is what the preset sets."""
+    objects: tuple[str, ...] = ("eight",)
+    """Objects or groups of the catalogue to train on."""
+    objects_dir: Path | None = None
+    """Folder of real scans; parametric stand-ins without one."""
+    handoffs: Path | None = None
+    """Handoff set; made for the objects first if none is given."""
+    handoffs_per_object: int = 64
+    """States per object when they are made first."""
+    out: Path | None = None
+    """Folder of the run; runs/<preset>-<time> by default."""
+    resume: Path | None = None
+    """Folder of a run to continue; its own configuration is used."""
+    engine: Engine = "mjx"
+    seed: int = 0
+    fit_memory: bool = False
+    """Take as many worlds as the device's memory holds instead of ppo.worlds."""
+    evaluation_episodes: int = 64
+    """Episodes per object after training, for policy, untrained policy and squeeze; 0 for none."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    task: ClosingConfig = field(default_factory=ClosingConfig)
+    noise: StartNoise = field(default_factory=StartNoise)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+
+    def __post_init__(self):
+        if self.evaluation_episodes < 0:
+            raise InputError("--evaluation-episodes", self.evaluation_episodes, "0 or more")
+
+
+def preset_config(preset: Preset) -> TrainConfig:
+    """The configuration behind a preset's name.
+
+    Raises:
+        InputError: An unknown preset, or one that needs a GPU where there is none.
+    """
+    if preset == "auto":
+        preset = "gpu" if has_gpu() else "cpu"
+    if preset == "gpu" and not has_gpu():
+        raise InputError("--preset", "gpu (JAX finds no GPU here)", "a GPU, or --preset cpu")
+    if preset == "cpu":
+        return TrainConfig(
+            preset="cpu",
+            scene=SceneConfig(fix_idle_fingers=True),
+            objects=("rubiks_cube",),
+            handoffs_per_object=192,
+            engine="mujoco",
+            ppo=PPOConfig(worlds=128, unroll=32, iterations=360),
+        )
+    if preset == "gpu":
+        return TrainConfig(
+            preset="gpu",
+            fit_memory=True,
+            scene=SceneConfig(fix_idle_fingers=True),
+            ppo=PPOConfig(unroll=16, iterations=240),
+        )
+    if preset == "paper":
+        return TrainConfig(
+            preset="paper",
+            engine="mjx" if has_gpu() else "mujoco",
+            task=ClosingConfig(residual="integrated", lift_delay_s=0.0, grip_together=False),
+            ppo=PPOConfig(worlds=1024, unroll=64, iterations=470, privileged_critic=False),
+        )
+    raise InputError("--preset", preset, "auto, cpu, gpu or paper")
+
+
+def to_json(config: Any) -> Any:
+    """A configuration as plain JSON values."""
+    if dataclasses.is_dataclass(config):
+        return {f.name: to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
+    if isinstance(config, Path):
+        return str(config)
+    if isinstance(config, tuple):
+        return [to_json(x) for x in config]
+    return config
+
+
+def from_json(stored: dict[str, Any]) -> TrainConfig:
+    """The configuration that `to_json` wrote.
+
+    Raises:
+        InputError: A field is unknown or its value is not allowed.
+    """
+    nested = {
+        "scene": SceneConfig,
+        "task": ClosingConfig,
+        "noise": StartNoise,
+        "ppo": PPOConfig,
+        "loop": LoopConfig,
+    }
+
+    def build(kind: type, values: dict[str, Any]) -> Any:
+        known = {f.name for f in dataclasses.fields(kind)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise InputError(f"{kind.__name__} fields", unknown, f"fields of {sorted(known)}")
+        return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+    paths = ("objects_dir", "handoffs", "out", "resume")
+    values = {
+        k: build(nested[k], v) if k in nested else Path(v) if k in paths and v else v
+        for k, v in stored.items()
+    }
+    return build(TrainConfig, values)
+
+
+def stored_config(folder: Path) -> TrainConfig:
+    """The configuration of a run, set to be resumed.
+
+    Raises:
+        FileError: There is no readable configuration.
+    """
+    path = folder / "config.json"
+    try:
+        stored = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise FileError(folder, "no run: config.json is missing", "a run's folder") from None
+    except (OSError, ValueError) as error:
+        raise FileError(path, f"no readable configuration ({error})", "a run's folder") from None
+    return replace(from_json(stored), resume=folder)

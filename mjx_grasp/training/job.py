@@ -1,0 +1,184 @@
+"""A training run: start states, PPO, policy, evaluation, in a folder that it can resume from."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from mjx_grasp.atomic import check_writable, replacing
+from mjx_grasp.closing.assemble import World, build_scene_of, build_world
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.evaluate import eligible, states_of
+from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
+from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
+from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.log import require_wandb
+from mjx_grasp.learning.memory import device_memory, worlds_that_fit
+from mjx_grasp.learning.policy import policy_from_training
+from mjx_grasp.learning.ppo import TrainState, init_state
+from mjx_grasp.learning.run import train_loop
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.provenance import provenance
+from mjx_grasp.sim.scene import Scene
+from mjx_grasp.training.after import evaluate_and_report
+from mjx_grasp.training.config import TrainConfig, to_json
+
+_OPENING = ("config.json", "provenance.json")
+"""Files that are written when a run is opened."""
+
+
+def train(config: TrainConfig, console: Console) -> Path:
+    """Runs a training to its end and returns the run's folder.
+
+    Raises:
+        InputError, FileError: A setting or file that cannot work; no folder is made then.
+        KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
+    """
+    require_wandb(config.loop.wandb_project)
+    resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
+    stored = None if config.handoffs is None else load_handoffs(config.handoffs)
+    if stored is not None:
+        _trainable(resolve(config.objects), stored)
+    scene = build_scene_of(config.objects, config.objects_dir, config.scene)
+    config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
+    world = None if stored is None else _build(scene, stored, config, console)
+    folder = _open_run(config)
+    try:
+        if stored is None or world is None:
+            try:
+                stored = _made_handoffs(config, folder, console)
+            except MjxGraspError:
+                if config.resume is None:
+                    _discard_run(folder)
+                raise
+            world = _build(scene, stored, config, console)
+        _run(folder, resumed, config, world, stored, console)
+    except KeyboardInterrupt as interrupt:
+        said = str(interrupt) or "interrupted"
+        again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
+        raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
+    return folder
+
+
+def _run(
+    folder: Path,
+    resumed: Path | None,
+    config: TrainConfig,
+    world: World,
+    handoffs: HandoffSet,
+    console: Console,
+) -> None:
+    """Trains in an opened run, keeps the policy and evaluates it."""
+    ppo = config.ppo
+    names, _ = eligible(world.scene.object_names, handoffs)
+    env = BraxClosingEnv(
+        world.env(config.engine, ppo.worlds, config.task, config.noise, ppo.privileged_critic),
+        ppo.worlds,
+        ppo.stagger,
+    )
+    console.print(
+        f"preset {config.preset}: {len(names)} object(s), {ppo.worlds} worlds in {config.engine}, "
+        f"{ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
+    )
+    state = init_state(ppo, env, config.seed)
+    if resumed is not None:
+        state = restore_checkpoint(resumed, state, env)
+        console.print(f"resumed from {resumed.name}")
+    state = train_loop(folder, state, env, ppo, config.loop, to_json(config))
+    _save_policy(folder, state, config, names, ppo)
+    if config.evaluation_episodes:
+        held_out = states_of(handoffs, names, "evaluation")
+        evaluate_and_report(folder, config, world, held_out, console)
+
+
+def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
+    """Splits objects into those with start states and those without.
+
+    Raises:
+        InputError: None has any.
+    """
+    have, without = eligible(names, handoffs)
+    if not have:
+        counts = handoffs.counts()
+        known = ", ".join(n for n in counts if counts[n]) or "none"
+        raise InputError("--objects", ", ".join(names), f"objects with pre-grasps ({known})")
+    return have, without
+
+
+def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Console) -> World:
+    """The scene with the training's share of the start states."""
+    names, without = _trainable(scene.object_names, handoffs)
+    if without:
+        console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
+    return build_world(scene, states_of(handoffs, names, "training"), config.task)
+
+
+def _open_run(config: TrainConfig) -> Path:
+    """The run's folder; a new run's configuration and provenance are written to it."""
+    if config.resume is not None:
+        return config.resume
+    folder = config.out or Path("runs") / f"{config.preset}-{time.strftime('%Y%m%d-%H%M%S')}"
+    if (folder / "config.json").exists():
+        raise FileError(
+            folder, "a run that is already there", f"another --out, or --resume {folder}"
+        )
+    check_writable("--out", folder / "config.json")
+    contents = (to_json(config), provenance(config.seed))
+    for name, content in zip(_OPENING, contents, strict=True):
+        with replacing(folder / name) as temporary:
+            temporary.write_text(json.dumps(content, indent=2))
+    return folder
+
+
+def _discard_run(folder: Path) -> None:
+    """Takes back what `_open_run` wrote, for a run that cannot begin."""
+    for name in _OPENING:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:
+    """The set in the run's folder, made now if it is not there yet."""
+    path = folder / "handoffs.npz"
+    if not path.exists():
+        from mjx_grasp.handoffs import make_handoffs
+
+        console.print("making handoff states (give --handoffs to use a stored set)")
+        make_handoffs(
+            HandoffConfig(
+                objects=config.objects,
+                objects_dir=config.objects_dir,
+                per_object=config.handoffs_per_object,
+                seed=config.seed,
+                out=path,
+            )
+        )
+    return load_handoffs(path)
+
+
+def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
+    if not config.fit_memory:
+        return config.ppo
+    worlds = worlds_that_fit(scene, config.ppo.unroll, device_memory())
+    return replace(config.ppo, worlds=worlds)
+
+
+def _save_policy(
+    folder: Path, state: TrainState, config: TrainConfig, names: list[str], ppo: PPOConfig
+) -> None:
+    meta = {
+        "task": to_json(config.task),
+        "objects": names,
+        "env_steps": int(state.iteration) * ppo.steps_per_iteration,
+        "provenance": json.loads((folder / "provenance.json").read_text()),
+    }
+    policy_from_training(state.params.policy, state.normalizer, meta).save(folder / "policy.npz")

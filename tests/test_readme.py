@@ -21,7 +21,7 @@ PROVENANCE = {
 }
 
 
-GENERATED = re.compile(r"<!-- generated:(\w+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
+GENERATED = re.compile(r"<!-- generated:([\w-]+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
 
 
 def load_generator():

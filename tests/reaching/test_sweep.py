@@ -86,7 +86,7 @@ def test_failures_are_classed(body):
     assert names == [None, "unreachable", "slow", "collision", "limit", "local minimum"]
 
 
-def test_summary_is_json_with_what_the_issue_names(body):
+def test_summary_is_json_with_what_the_tables_show(body):
     record = _records(body, 8)
     record.fine_time[:6] = 2.0
     record.clock[:6] = 3.0

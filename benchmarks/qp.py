@@ -1,8 +1,9 @@
 """Quadratic programmes per second and their accuracy, on problems drawn from real reaches.
 
-Side by side: the fixed-iteration ADMM of this package (warm-started, float32, batched), qpax
-(interior point, batched, both on whatever device JAX finds) and, where it is installed, OSQP (one
-problem after another on one core). The exact answers are qpax's in float64.
+Of the published controller's reaches and of the default's, which follows plans. Side by side: the
+fixed-iteration ADMM of this package (warm-started, float32, batched), qpax (interior point,
+batched, both on whatever device JAX finds) and, where it is installed, OSQP (one problem after
+another on one core). The exact answers are qpax's in float64.
 
   python benchmarks/qp.py --out FILE.json
 """
@@ -29,10 +30,12 @@ from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.body import reach_body
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.reaching.poses import draw_poses
-from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.presets import for_sweep, preset
 from mjx_grasp.reaching.problems import draw_problems, kkt_residuals, solution_errors
-from mjx_grasp.reaching.qp import QP, scales, solve_qp
+from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
+from mjx_grasp.reaching.sweep import plan_all
 from mjx_grasp.robot.spec import load_robot
 
 _PERCENTILES = (50, 90, 99, 100)
@@ -44,10 +47,10 @@ class QpBenchmarkConfig:
 
     out: Path
     """results file to write (.json)"""
-    poses: int = 64
-    """reaches the problems are drawn from [-]"""
-    per_pose: int = 16
-    """problems of each [-]"""
+    poses: int = 40
+    """reaches that each set of problems is drawn from [-]"""
+    per_pose: int = 30
+    """problems of each, ten ticks apart [-]"""
     iterations: tuple[int, ...] = (25, 50, 100)
     """of ADMM [-]"""
     repeats: int = 7
@@ -106,6 +109,7 @@ def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] 
         return None
     n = problems.q.shape[1]
     solvers, answers = [], []
+    start = time.perf_counter()
     for k in range(len(problems.q)):
         p = jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k], np.float64), problems)
         solver = osqp.OSQP()
@@ -114,6 +118,7 @@ def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] 
         high = np.concatenate([p.upper, np.full(len(p.b), np.inf)])
         solver.setup(sparse.csc_matrix(np.triu(p.P)), p.q, A, low, high, verbose=False)
         solvers.append(solver)
+    setup = time.perf_counter() - start
     start = time.perf_counter()
     for solver in solvers:
         answers.append(solver.solve().x)
@@ -122,18 +127,27 @@ def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] 
     return {
         "solver": "OSQP",
         "version": osqp.__version__,
-        "device": "CPU, one core, set-up not counted",
+        "device": "CPU, one core",
         "problems_per_s": len(x) / seconds,
+        "problems_per_s_with_setup": len(x) / (setup + seconds),
         "errors": accuracy(problems, x, exact, ok),
     }
 
 
-def measure(config: QpBenchmarkConfig) -> dict[str, Any]:
+def drawn(name: str, config: QpBenchmarkConfig) -> tuple[QP, WarmStart]:
+    """Problems of a preset's reaches."""
+    settings = for_sweep(preset(name))
+    reacher = Reacher(reach_body(load_robot()), settings.reach, settings.selection)
+    poses = draw_poses(config.poses, config.seed)
+    plans = None
+    if settings.plan:
+        library = start_library(reacher.body, settings.plan)
+        plans = plan_all(reacher, settings.plan, library, poses, min(config.poses, 32)).plans
+    return draw_problems(reacher, poses, config.per_pose, plans=plans)
+
+
+def measure(config: QpBenchmarkConfig, problems: QP, warm: WarmStart) -> dict[str, Any]:
     """All rows."""
-    paper = preset("paper")
-    reach = replace(paper.reach, fields=replace(paper.reach.fields, via_points=20))
-    reacher = Reacher(reach_body(load_robot()), reach, paper.selection)
-    problems, warm = draw_problems(reacher, draw_poses(config.poses, config.seed), config.per_pose)
     exact = exact_solutions(problems)
     violation = np.asarray(jax.vmap(lambda p, x: jnp.max(p.b - p.A @ x))(problems, exact))
     ok = np.isfinite(exact).all(axis=1) & (violation < 1e-4)
@@ -185,9 +199,11 @@ def measure(config: QpBenchmarkConfig) -> dict[str, Any]:
 
 def main(config: QpBenchmarkConfig) -> None:
     """Measures, prints, writes."""
-    result = {"provenance": provenance(config.seed), **measure(config)}
+    result: dict[str, Any] = {"provenance": provenance(config.seed)}
+    for name in ("paper", "default"):
+        result[name] = measure(config, *drawn(name, config))
+        print(name, json.dumps(result[name]["rows"], indent=1))
     write_json(config.out, result)
-    print(json.dumps(result["rows"], indent=1))
 
 
 if __name__ == "__main__":

@@ -3,8 +3,9 @@
 Ticks of the published and of the default controller, for one robot and for thousands of worlds,
 compilation apart; reaches one after another until every tip is within 20 mm; and, where
 mink and daqp are installed, the same by mink's differential inverse kinematics on the same
-cylinders towards the standoff targets of the start: tip position tasks with its configuration and
-velocity limits and its collision avoidance of the hand against object and table.
+cylinders towards the standoff targets of either controller at the start: tip position tasks with
+its configuration and velocity limits and its collision avoidance of the hand against object and
+table. The default's plans are made one after another too, and their time is given apart.
 
 On one core of a processor:
 
@@ -31,6 +32,7 @@ import tyro
 
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
+from mjx_grasp.compilation import compile_seconds
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.provenance import provenance
@@ -42,7 +44,7 @@ from mjx_grasp.reaching.presets import Preset, for_sweep, preset
 from mjx_grasp.reaching.sweep import candidates_of, plan_all
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.selection import select, start_selection
+from mjx_grasp.selection import select
 
 _TABLE = ((0.35, 0.0, -0.02), (0.65, 0.70, 0.02))
 # A reach has converged when every tip is this near [m], and is given up after this long [s].
@@ -108,18 +110,24 @@ def tick_row(reacher: Reacher, poses: CylinderPoses, plans, name: str, config) -
     }
 
 
-def standoff_goals(reacher: Reacher, poses: CylinderPoses, k: int) -> np.ndarray:
+def standoff_goals(
+    reacher: Reacher, poses: CylinderPoses, plans: Plans | None, k: int
+) -> np.ndarray:
     """Where the selection sends the tips at the start of a reach, [m]."""
     shape = Cylinder(jnp.float32(poses.radius[k]), jnp.float32(poses.half_length[k]))
     candidates = candidates_of(reacher, shape)
-    hand = reacher.hand(reacher.body.kinematics.motion(jnp.asarray(reacher.body.home)))
+    home = jnp.asarray(reacher.body.home)
+    hand = reacher.hand(reacher.body.kinematics.motion(home))
     p_wo, R_wo = jnp.asarray(poses.p_wo[k]), jnp.asarray(poses.R_wo[k])
-    state = start_selection(candidates, hand, R_wo)
+    plan = jax.tree.map(lambda leaf: jnp.asarray(leaf[k]), plans)
+    state = reacher.start(home, candidates, p_wo, R_wo, plan).selection
     targets, _ = select(candidates, state, hand, p_wo, R_wo, reacher.selection)
     return np.asarray(reacher.standoffs(targets))
 
 
-def mink_row(reacher: Reacher, poses: CylinderPoses) -> dict[str, Any] | None:
+def mink_row(
+    reacher: Reacher, poses: CylinderPoses, plans: Plans | None, name: str
+) -> dict[str, Any] | None:
     """Reaches by mink with daqp, one robot; None where they are not installed."""
     if not (find_spec("daqp") and find_spec("mink")):
         return None
@@ -145,7 +153,7 @@ def mink_row(reacher: Reacher, poses: CylinderPoses) -> dict[str, Any] | None:
         model = spec.compile()
         configuration = mink.Configuration(model)
         configuration.update(np.array(robot.home))
-        goals = standoff_goals(reacher, poses, k)
+        goals = standoff_goals(reacher, poses, plans, k)
         tasks = []
         for finger, goal in zip(robot.hand.fingers, goals, strict=True):
             task = mink.FrameTask(finger.tip_site, "site", 1.0, 0.0, gain=0.05, lm_damping=1e-3)
@@ -185,17 +193,18 @@ def mink_row(reacher: Reacher, poses: CylinderPoses) -> dict[str, Any] | None:
                 break
         seconds += time.perf_counter() - start
     return {
-        "controller": "mink with daqp, one robot on one core",
+        "controller": f"mink with daqp, targets of {name}, one robot",
         "versions": {"mink": version("mink"), "daqp": version("daqp")},
         "reaches": count,
         "converged_20mm_3s_percent": 100.0 * converged / count,
         "ms_per_tick": 1e3 * seconds / ticks,
         "reaches_per_s": count / seconds,
+        "converged_reaches_per_s": converged / seconds,
     }
 
 
 def own_reaches(
-    reacher: Reacher, poses: CylinderPoses, plans: Plans | None, name: str
+    reacher: Reacher, poses: CylinderPoses, plans: Plans | None, planning_s: float, name: str
 ) -> dict[str, Any]:
     """Reaches of the same cylinders by this package, one robot after another like mink's."""
     home, dt = jnp.asarray(reacher.body.home), reacher.config.controller.dt
@@ -230,26 +239,39 @@ def own_reaches(
     start = time.perf_counter()
     ends = [jax.block_until_ready(reach(*problem(k))) for k in range(count)]
     seconds = time.perf_counter() - start
+    converged = sum(float(e) < _TOLERANCE for _, e in ends)
     return {
         "controller": f"{name}, one robot",
         "reaches": count,
-        "converged_20mm_3s_percent": 100.0 * sum(float(e) < _TOLERANCE for _, e in ends) / count,
+        "converged_20mm_3s_percent": 100.0 * converged / count,
         "ms_per_tick": 1e3 * seconds / sum(int(n) for n, _ in ends),
+        "ms_per_plan": 1e3 * planning_s / count,
         "reaches_per_s": count / seconds,
+        "reaches_per_s_with_planning": count / (seconds + planning_s),
+        "converged_reaches_per_s": converged / (seconds + planning_s),
     }
 
 
-def plans_of(settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int) -> Plans | None:
-    """Plans for a few of the poses, repeated for all: what a tick takes does not depend on them."""
+def plans_of(
+    settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int
+) -> tuple[Plans | None, float]:
+    """Plans for a few of the poses, made one after another, and the seconds that took.
+
+    They are repeated for all: what a tick takes does not depend on them.
+    """
     if not settings.plan:
-        return None
+        return None, 0.0
     library = start_library(reacher.body, settings.plan)
     some = jax.tree.map(lambda leaf: leaf[:few], poses)
-    found = plan_all(reacher, settings.plan, library, some, few)
+    compiled = compile_seconds()
+    start = time.perf_counter()
+    found = plan_all(reacher, settings.plan, library, some, 1)
+    seconds = time.perf_counter() - start - (compile_seconds() - compiled)
     count = len(poses.radius)
-    return jax.tree.map(
+    plans = jax.tree.map(
         lambda leaf: jnp.asarray(np.resize(leaf, (count, *leaf.shape[1:]))), found.plans
     )
+    return plans, seconds
 
 
 def main(config: ReachBenchmarkConfig) -> None:
@@ -275,14 +297,13 @@ def main(config: ReachBenchmarkConfig) -> None:
     for name in ("paper", "default"):
         settings = for_sweep(preset(name))
         reacher = Reacher(body, settings.reach, settings.selection)
-        plans = plans_of(settings, reacher, poses, config.reaches)
+        plans, planning_s = plans_of(settings, reacher, poses, config.reaches)
         for worlds in config.worlds:
             some, part = jax.tree.map(lambda leaf, n=worlds: leaf[:n], (poses, plans))
             done(tick_row(reacher, some, part, name, config))
         part = jax.tree.map(lambda leaf: leaf[: config.reaches], plans)
-        done(own_reaches(reacher, few, part, name))
-    paper = for_sweep(preset("paper"))
-    done(mink_row(Reacher(body, paper.reach, paper.selection), few))
+        done(own_reaches(reacher, few, part, planning_s, name))
+        done(mink_row(reacher, few, part, name))
 
 
 if __name__ == "__main__":

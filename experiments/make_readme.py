@@ -103,6 +103,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "limits": stage_tables.reach_limits(
                 [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]
             ),
+            "qp": stage_tables.qp_speed(folder / "qp_cpu.json"),
+            "reach-speed": stage_tables.reach_speed(
+                [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
+            ),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
             "files": _provenance(files).markdown() if files else NOTHING,

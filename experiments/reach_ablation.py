@@ -23,11 +23,15 @@ from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig
 _KEPT = (
     "rate_percent",
     "rate_percent_since_start",
+    "rate_percent_since_first_near",
+    "reaches_that_changed_plan_percent",
     "at_20mm_3s",
     "failures_percent",
     "handoff_mm",
     "limits",
     "seconds",
+    "seconds_to_20mm",
+    "solvable_percent",
 )
 
 
@@ -52,7 +56,7 @@ def main(config: AblationConfig) -> None:
             poses=config.poses, seed=config.seed, preset=name, bound=False, chunk=config.chunk
         )
         result = run_sweep(sweep, console=console).result
-        rows[name] = {k: result[k] for k in (*_KEPT, "seconds_to_20mm")}
+        rows[name] = {k: result[k] for k in _KEPT if k in result}
         write_json(
             config.out,
             {

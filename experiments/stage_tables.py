@@ -127,7 +127,9 @@ def reach_rates(path: Path) -> str:
             f"Reaches that converged, in % (ours / paper), of {d['poses']:,} random cylinder "
             "poses, by tolerance and fine-adjustment time; a solution exists for "
             f"{d['solvable_percent']['20']:.1f} %. Counted from the start of the motion, "
-            f"{d['rate_percent_since_start']['20']['3']:.1f} % are within 20 mm after 3 s. The "
+            f"{d['rate_percent_since_start']['20']['3']:.1f} % are within 20 mm after 3 s; from "
+            "when the tips were first within 140 mm, with a timer that a retreat does not set "
+            f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %. The "
             f"sweep took {sum(d['seconds'][k] for k in ('planning', 'reaching')):.0f} s on one "
             f"{d['provenance']['device']}, compilation apart:",
             rates.markdown(),
@@ -146,7 +148,7 @@ def reach_limits(paths: Sequence[Path]) -> str:
     names = {
         "safe": "as far as asked or farther",
         "near": "nearer",
-        "in_contact": "in contact",
+        "in_contact": "in contact, up to {:.0f} mm deep",
     }
     rows = []
     for path in paths:
@@ -156,7 +158,7 @@ def reach_limits(paths: Sequence[Path]) -> str:
             rows.append(
                 (
                     d["provenance"]["device"],
-                    name,
+                    name.format(worst["deepest_start_mm"]),
                     f"{worst['reaches']:,}",
                     f"{worst['ticks']:,}",
                     f"{worst['largest_speed_over_limit']:.2f}",
@@ -202,13 +204,90 @@ def first_run(path: Path) -> str:
     )
 
 
+def qp_speed(path: Path) -> str:
+    """Solvers on the problems of the published and of the default controller's reaches."""
+    d = _read(path)
+    if d is None:
+        return NOTHING
+    rows = []
+    for name in ("paper", "default"):
+        for row in d[name]["rows"]:
+            setup, kkt = row.get("problems_per_s_with_setup"), row.get("kkt_p99")
+            errors = row["errors"]
+            rows.append(
+                (
+                    name,
+                    row["solver"],
+                    f"{row['problems_per_s']:,.0f}"
+                    + ("" if setup is None else f" ({setup:,.0f} with set-up)"),
+                    *(f"{errors['velocity'][p]:.1e}" for p in ("p50", "p99")),
+                    f"{errors['objective']['p99']:.1e}",
+                    f"{errors['violation']['p99']:.1e}",
+                    "" if kkt is None else f"{max(kkt.values()):.1e}",
+                )
+            )
+    header = (
+        *("reaches of", "solver", "problems/s", "error of q̇ rad/s, median", "99 %"),
+        *("objective gap, 99 %", "violation m/s, 99 %", "largest KKT residual, 99 %"),
+    )
+    size = d["default"]
+    return (
+        f"{d['paper']['problems']:,} and {size['problems']:,} problems of {size['variables']} "
+        f"variables and {size['half_spaces']} half-spaces, on {d['provenance']['device']}; the "
+        "exact answers are qpax's in float64:\n\n"
+        + Table("QP", header, tuple(rows), names=2).markdown()
+    )
+
+
+def reach_speed(paths: Sequence[Path]) -> str:
+    """Control ticks, and reaches one after another beside mink's."""
+    ticks, reaches = [], []
+    for path in paths:
+        d = _read(path)
+        device = "" if d is None else d["provenance"]["device"]
+        if d and d["processor_cores"] == 1:
+            device = device.replace("2 cores", "1 of 2 cores")
+        for row in d["rows"] if d else ():
+            if "worlds" in row:
+                shown = f"{row['ms_per_tick']:.2f}", f"{row['robot_ticks_per_s']:,.0f}"
+                ticks.append((device, row["controller"], f"{row['worlds']:,}", *shown))
+                continue
+            if "converged_reaches_per_s" not in row:  # no comparison, for want of mink
+                continue
+            plan, whole = row.get("ms_per_plan"), row.get("reaches_per_s_with_planning")
+            shown = (
+                f"{row['converged_20mm_3s_percent']:.0f}",
+                f"{row['ms_per_tick']:.2f}",
+                "" if not plan else f"{plan:.0f}",
+                f"{row['reaches_per_s']:.1f}" if not plan else f"{whole:.1f}",
+                f"{row['converged_reaches_per_s']:.1f}",
+            )
+            reaches.append((device, row["controller"], f"{row['reaches']}", *shown))
+    if not ticks:
+        return NOTHING
+    header = ("device", "controller", "robots", "ms per tick", "robot ticks/s")
+    others = (
+        *("device", "controller", "reaches", "converged %", "ms per tick", "ms per plan"),
+        *("reaches/s with planning", "converged reaches/s"),
+    )
+    return (
+        Table("Ticks", header, tuple(ticks), names=2).markdown()
+        + "\n\nOne robot, one reach after another, until every tip is within 20 mm, for 3 s at "
+        "most:\n\n" + Table("Reaches", others, tuple(reaches), names=2).markdown()
+    )
+
+
 def reach_ablation(path: Path) -> str:
     """The published controller and each addition to it."""
     d = _read(path)
     if d is None:
         return NOTHING
     shown = ablation_table(d["rows"]).markdown()
-    return f"Reaches converged, in %, of {d['poses']:,} poses:\n\n{shown}"
+    solvable = d["rows"]["default"]["solvable_percent"]["20"]
+    return (
+        f"Reaches converged, in %, of {d['poses']:,} poses, for {solvable:.1f} % of which a "
+        f"solution exists within 20 mm:\n\n{shown}"
+    )
 
 
 def ablation_table(rows: dict[str, dict[str, Any]]) -> Table:

@@ -104,8 +104,8 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         raise InputError("robot", kinematics.joints, "the joints of the description alone")
     frame_of = {body: PALM + 1 + k for k, body in enumerate(bodies)}
 
-    capsules = [(frame_of[b], *part) for b in finger_bodies for part in _capsules(model, b)]
-    capsule_body = [b for b in finger_bodies for _ in _capsules(model, b)]
+    capsules = [(frame_of[b], *part) for b in finger_bodies for part in _cover(model, b)]
+    capsule_body = [b for b in finger_bodies for _ in _cover(model, b)]
     links = [[n for n, b in enumerate(capsule_body) if b in finger] for finger in fingers]
     groups, names = [], []
     for finger, members in zip(fingers, links, strict=True):
@@ -124,12 +124,19 @@ def reach_body(robot: RobotSpec) -> ReachBody:
             )
 
     points = [(frame_of[palm], *part) for part in _cover(model, palm)]
+    if not points:
+        raise InputError(
+            "hand.palm_body", robot.hand.palm_body, "a body with a shape to keep clear"
+        )
     cells = _cells(points)
-    arm = [(frame_of[b], *part) for b in arm_bodies for part in _capsules(model, b)]
-    arm_body = [b for b in arm_bodies for _ in _capsules(model, b)]
+    arm = [(frame_of[b], *part) for b in arm_bodies for part in _cover(model, b)]
+    arm_body = [b for b in arm_bodies for _ in _cover(model, b)]
     depth = _joints_above(model, arm_body)
     far = [n for n in range(len(arm)) if depth[n] >= _FEWEST_ARM_JOINTS]
+    if not far:
+        raise InputError("arm.joints", robot.arm.joints, "an arm whose outer links have a shape")
     arm_pairs = [[(n, m) for m in range(len(arm)) if depth[m] <= depth[n] - _APART] for n in far]
+    arm_pairs = [pairs for pairs in arm_pairs if pairs]
     joints = [model.joint(name) for name in robot.joints]
     return ReachBody(
         robot=robot,
@@ -150,7 +157,7 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         ),
         pairs=_padded(pairs),
         pair_names=tuple(pair_names),
-        arm_pairs=_padded([pairs for pairs in arm_pairs if pairs]),
+        arm_pairs=_padded(arm_pairs) if arm_pairs else np.zeros((0, 1, 2), int),
     )
 
 
@@ -176,7 +183,7 @@ def _arm_bodies(model: mujoco.MjModel, palm: int) -> list[int]:
     while body != 0:
         chain.insert(0, body)
         body = int(model.body_parentid[body])
-    return [b for b in chain if _capsules(model, b)]
+    return [b for b in chain if _cover(model, b)]
 
 
 def _joints_above(model: mujoco.MjModel, bodies: list[int]) -> list[int]:
@@ -198,7 +205,7 @@ def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.nda
     for geom in range(first, first + int(model.body_geomnum[body])):
         kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
         touches_nothing = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
-        if kind == mujoco.mjtGeom.mjGEOM_BOX or touches_nothing:
+        if kind == mujoco.mjtGeom.mjGEOM_BOX or touches_nothing:  # boxes: `_cover`
             continue
         if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
             half, radius = 0.0, size[0]
@@ -217,7 +224,8 @@ def _cover(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarra
     found = _capsules(model, body)
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
-        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
+        touches_nothing = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
+        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX or touches_nothing:
             continue
         size = model.geom_size[geom]
         radius = min(_BOX_SPHERE_RADIUS, float(size.min()))

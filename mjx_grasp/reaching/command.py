@@ -271,7 +271,7 @@ def command(
         obstacle_distance=jnp.min(obstacle),
         table_margin=jnp.min(table),
         finger_distance=jnp.min(near["fingers"].distance),
-        arm_distance=jnp.min(near["arm"].distance),
+        arm_distance=jnp.min(near["arm"].distance, initial=jnp.inf),
         problem=problem,
     )
     return x, Memory(x, escape, solution.warm), report

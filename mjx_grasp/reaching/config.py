@@ -21,7 +21,7 @@ class FieldConfig:
     """on a sphere around the goal, tried when the straight way is not free [-]"""
     via_radius: float = 0.070
     """of that sphere [m]"""
-    path_samples: int = 6
+    path_samples: int = 12
     """of a segment, at which its clearance is measured [-]"""
     orientation_gain: float = 5.0
     """angular speed per sine of the angle between pad normal and its goal [rad/s]"""

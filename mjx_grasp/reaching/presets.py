@@ -37,13 +37,9 @@ def _additions() -> dict[str, Preset]:
     add("standoffs", selection=replace(paper.selection, min_goal_height=0.012))
     add("escape", reach=reach(solver={"partial_escape": True}))
     add("reachability", plan=PlanConfig(), reach=reach(guide={"enabled": False}))
-    add(
-        "guide",
-        reach=reach(
-            guide={"enabled": True},
-            fields={"via_points": 0, "slow_down": 0.06, "posture_gain": 8.0},
-        ),
-    )
+    add("guide", reach=reach(guide={"enabled": True}, fields={"posture_gain": 8.0}))
+    add("straight", reach=reach(fields={"via_points": 0, "slow_down": 0.06}))
+    add("clearance", reach=reach(limits={"follow_object": True, "margin": 0.0008}))
     add(
         "default",
         reach=reach(
@@ -53,7 +49,6 @@ def _additions() -> dict[str, Preset]:
                 "handoff_tips": 0.008,
                 "replan_moved": 0.03,
             },
-            limits={"follow_object": True, "margin": 0.0008},
         ),
     )
     return steps
@@ -62,10 +57,11 @@ def _additions() -> dict[str, Preset]:
 PRESETS = _additions()
 """By name: ``paper``; ``standoffs`` targets must be high enough; ``escape`` from penetration even
 where not all clearances can be restored at once; ``reachability``: the selection takes a candidate
-for which inverse kinematics found a posture; ``guide``: that posture guides the hand, in place of
-via-points, and motion slows down later; ``default``: another plan when progress stalls, handoff
-when every tip is near, and a command is scaled back where its tick would end too near to something,
-which bounds of the nearest points alone do not rule out."""
+for which inverse kinematics found a posture; ``guide``: that posture guides the hand; ``straight``:
+the guide is enough, tips need no via-points and slow down later; ``clearance``: half-spaces have a
+margin and move with the object, and a command is scaled back where its tick would end too near to
+something, which bounds of the nearest points alone do not rule out; ``default``: another plan when
+progress stalls, handoff when every tip is near."""
 
 
 def preset(name: str) -> Preset:

@@ -9,37 +9,42 @@ import jax.numpy as jnp
 
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.reaching.config import SolverConfig
-from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.poses import CylinderPoses
 from mjx_grasp.reaching.qp import QP, WarmStart, scales
 from mjx_grasp.reaching.sweep import Problem, candidates_of
 
 
 def draw_problems(
-    reacher: Reacher, poses: CylinderPoses, count: int, stride: int = 10
+    reacher: Reacher,
+    poses: CylinderPoses,
+    count: int,
+    stride: int = 10,
+    plans: Plans | None = None,
 ) -> tuple[QP, WarmStart]:
     """Every ``stride``-th problem of reaches from home, with the warm start it had.
 
     Args:
-        reacher: The controller, without plans.
+        reacher: The controller.
         poses: The cylinders, reached for together.
         count: Problems of each reach.
         stride: Ticks between them.
+        plans: For every pose, or None.
 
     Returns:
         Problems and warm starts, ``[poses · count, …]``.
     """
 
-    def reach(shape, p_wo, R_wo):
-        problem = Problem(shape, p_wo, R_wo, None)
+    def reach(shape, p_wo, R_wo, plans):
+        problem = Problem(shape, p_wo, R_wo, plans)
         candidates = candidates_of(reacher, shape)
         q = jnp.asarray(reacher.body.home)
-        state = reacher.start(q, candidates, p_wo, R_wo)
+        state = reacher.start(q, candidates, p_wo, R_wo, plans)
 
         def tick(carry, _):
             state, q = carry
             after, done = reacher.tick(
-                state, q, problem.shape, candidates, p_wo, R_wo, jnp.zeros((0, 4))
+                state, q, problem.shape, candidates, p_wo, R_wo, jnp.zeros((0, 4)), plans
             )
             q = q + reacher.config.controller.dt * done.velocity
             return (after, q), (done.report.problem, state.memory.warm)
@@ -51,7 +56,7 @@ def draw_problems(
         return jax.lax.scan(stretch, (state, q), length=count)[1]
 
     shape = Cylinder(jnp.asarray(poses.radius), jnp.asarray(poses.half_length))
-    found = jax.jit(jax.vmap(reach))(shape, poses.p_wo, poses.R_wo)
+    found = jax.jit(jax.vmap(reach))(shape, poses.p_wo, poses.R_wo, plans)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
 
 
@@ -89,8 +94,9 @@ def kkt_residual(
 
     Returns:
         ``stationarity``: of the Lagrangian's gradient the largest entry; ``complementarity``:
-        largest product of a half-space's multiplier and slack; ``sign``: largest multiplier of
-        the wrong sign.
+        largest product of a multiplier and its slack, of half-spaces and of the box, whose
+        multipliers count against the bound that their sign names; ``sign``: largest multiplier of
+        a half-space of the wrong sign.
     """
     scale, row_scale = scales(problem)
     box = config.rho_box * warm.box_dual * scale
@@ -98,10 +104,12 @@ def kkt_residual(
     gradient = scale * (problem.P @ x + problem.q)
     residual = gradient + box + ((rows * row_scale) @ problem.A) * scale
     slack = (problem.A @ x - problem.b) * row_scale
+    room = jnp.where(box > 0, problem.upper - x, x - problem.lower) / scale
+    products = jnp.concatenate([rows * slack, box * room])
     size = jnp.linalg.norm(scale * problem.q)
     return {
         "stationarity": jnp.max(jnp.abs(residual)) / size,
-        "complementarity": jnp.max(jnp.abs(rows * slack)) / size,
+        "complementarity": jnp.max(jnp.abs(products)) / size,
         "sign": jnp.maximum(jnp.max(rows), 0.0) / size,
     }
 

@@ -97,6 +97,8 @@ def summary(
         "poses": len(converged),
         "rate_percent": share_converged(record.fine_time),
         "rate_percent_since_start": share_converged(record.clock),
+        "rate_percent_since_first_near": share_converged(_since_first_near(record)),
+        "reaches_that_changed_plan_percent": _percent(np.asarray(record.plans_left) > 0),
         "paper_rate_percent": {
             k: dict(zip((f"{b:g}" for b in BUDGETS), v, strict=True)) for k, v in PAPER_RATE.items()
         },
@@ -124,6 +126,13 @@ def summary(
             if ok.any()
         }
     return result
+
+
+def _since_first_near(record: ReachRecord) -> np.ndarray:
+    """Times of the first convergence as if the fine-adjustment timer were never set back, [s]."""
+    clock, near = np.asarray(record.clock), np.asarray(record.near)[:, None]
+    there = np.isfinite(clock)
+    return np.where(there, np.where(there, clock, 0.0) - np.where(there, near, 0.0), np.inf)
 
 
 def _percent(mask: Values) -> float | None:
@@ -200,6 +209,7 @@ def _worst(record: ReachRecord, rows: np.ndarray, asked: float) -> dict[str, flo
         "farthest_beyond_joint_limit_rad": largest(record.limit_excess),
         "least_object_distance_mm": least(record.object_distance),
         "reaches_nearer_than_asked": int((nearest < asked - _ROUNDING).sum()),
+        "deepest_start_mm": _millimetres(max(np.max(-start, initial=0.0), 0.0)),
         "most_object_distance_lost_mm": _millimetres(max(np.max(lost, initial=0.0), 0.0)),
         "least_table_height_over_asked_mm": least(record.table_margin),
         "least_finger_distance_mm": least(record.finger_distance),

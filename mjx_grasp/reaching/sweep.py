@@ -37,6 +37,8 @@ class ReachRecord(NamedTuple):
         fine_time: ``[tolerances]`` least fine-adjustment timer when converged, [s]; inf if
             it never was.
         clock: ``[tolerances]`` time since the start then, [s].
+        near: Time since the start when the timer first ran, [s]; inf if it never did.
+        plans_left: Plans given up for another.
         handoff_error: ``[3]`` tip frames to standoff targets at handoff, [m]; NaN without one.
         handoff_contact: ``[3]`` tip frames to the contacts themselves, [m].
         handoff_midpoint: Of midpoints, [m].
@@ -59,6 +61,8 @@ class ReachRecord(NamedTuple):
 
     fine_time: Float[Array, " tolerances"]
     clock: Float[Array, " tolerances"]
+    near: Float[Array, ""]
+    plans_left: Int[Array, ""]
     handoff_error: Float[Array, " 3"]
     handoff_contact: Float[Array, " 3"]
     handoff_midpoint: Float[Array, ""]
@@ -211,6 +215,8 @@ def empty_record(joints: int) -> ReachRecord:
     return ReachRecord(
         fine_time=many,
         clock=many,
+        near=inf,
+        plans_left=jnp.int32(0),
         handoff_error=nan,
         handoff_contact=nan,
         handoff_midpoint=jnp.float32(jnp.nan),
@@ -298,6 +304,8 @@ def recorded(
             converged, jnp.minimum(state.timer, record.fine_time), record.fine_time
         ),
         clock=jnp.where(first, state.clock, record.clock),
+        near=jnp.where(state.timer > 0, jnp.minimum(record.near, state.clock), record.near),
+        plans_left=jnp.maximum(record.plans_left, state.tries),
         handoff_error=jnp.where(hands_off, report.error, record.handoff_error),
         handoff_contact=jnp.where(hands_off, contact, record.handoff_contact),
         handoff_midpoint=jnp.where(hands_off, report.midpoint, record.handoff_midpoint),

@@ -90,6 +90,7 @@ def test_summary_is_json_with_what_the_tables_show(body):
     record = _records(body, 8)
     record.fine_time[:6] = 2.0
     record.clock[:6] = 3.0
+    record.near[:] = [0.5, 0.5, 0.5, -0.5, -0.5, -0.5, 0.5, np.inf]
     record.handoff_time[:6] = 2.5
     record.handoff_error[:6] = 0.004
     record.handoff_contact[:6] = 0.03
@@ -102,6 +103,7 @@ def test_summary_is_json_with_what_the_tables_show(body):
     result = summary(body, LimitConfig(), draw_poses(8, 0), record, np.full(8, 0.002))
     text = json.loads(json.dumps(result))
     assert text["rate_percent"]["20"]["3"] == 75.0
+    assert text["rate_percent_since_first_near"]["20"]["3"] == 37.5
     assert text["rate_percent_of_solvable"]["20"]["3"] == 75.0
     assert text["solvable_percent"]["10"] == 100.0
     assert text["handoff_mm"]["index"]["median"] == pytest.approx(4.0)
@@ -114,6 +116,8 @@ def test_summary_is_json_with_what_the_tables_show(body):
     assert worst["near"]["most_object_distance_lost_mm"] == pytest.approx(1.0)
     assert worst["safe"]["most_object_distance_lost_mm"] == pytest.approx(1.5)
     assert worst["in_contact"]["most_object_distance_lost_mm"] == 0.0
+    assert worst["in_contact"]["deepest_start_mm"] == pytest.approx(20.0)
+    assert worst["safe"]["deepest_start_mm"] == 0.0
     assert worst["in_contact"]["least_object_distance_mm"] == pytest.approx(1.0)
     assert worst["safe"]["largest_speed_over_limit"] == pytest.approx(0.9)
     assert worst["all"]["largest_speed_over_limit"] == pytest.approx(1.0)

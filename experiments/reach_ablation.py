@@ -5,6 +5,7 @@ python experiments/reach_ablation.py --out experiments/results/reach_ablation.js
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from stage_tables import ablation_table
 
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.provenance import provenance
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.reaching.sweep_run import run_sweep
@@ -44,26 +46,60 @@ class AblationConfig:
     poses: int = 2752
     seed: int = SweepConfig().seed
     chunk: int | None = None
+    resume: bool = False
+    """keep the rows that the results file has already"""
+    sweeps: tuple[Path, ...] = ()
+    """results of `sweep_reach` on the same poses, whose presets need not be swept again"""
+
+
+def known_rows(config: AblationConfig) -> dict[str, dict[str, Any]]:
+    """Rows that are there already, each with its provenance.
+
+    Raises:
+        InputError: They are of other poses.
+        FileError: A file cannot be read.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    for path in (*([config.out] if config.resume else []), *config.sweeps):
+        try:
+            stored = json.loads(path.read_text())
+            made = stored["provenance"]
+            asked = {"poses": config.poses, "seed": config.seed}
+            found = {"poses": stored["poses"], "seed": made["seed"]}
+            if found != asked:
+                raise InputError(str(path), found, str(asked))
+            new = stored["rows"] if "rows" in stored else {stored["preset"]: stored}
+        except (OSError, ValueError, KeyError) as error:
+            raise FileError(path, f"no results to keep ({error!r})", "those of a sweep") from None
+        for name, row in new.items():
+            kept = {k: row[k] for k in _KEPT if k in row}
+            rows[name] = kept | {"provenance": row.get("provenance", made)}
+    return rows
 
 
 def main(config: AblationConfig) -> None:
     """Sweeps with every preset, prints the table, writes the file after each."""
     console = Console()
+    known = known_rows(config)
     rows: dict[str, dict[str, Any]] = {}
     for name in PRESETS:
         console.print(name)
         sweep = SweepConfig(
             poses=config.poses, seed=config.seed, preset=name, bound=False, chunk=config.chunk
         )
-        result = run_sweep(sweep, console=console).result
-        rows[name] = {k: result[k] for k in _KEPT if k in result}
+        if name in known:
+            rows[name] = known[name]
+        else:
+            result = run_sweep(sweep, console=console).result
+            rows[name] = {k: result[k] for k in _KEPT if k in result}
+            rows[name]["provenance"] = provenance(config.seed)
         write_json(
             config.out,
             {
                 "provenance": provenance(config.seed),
                 "tuning_seeds": TUNING_SEEDS,
                 "poses": config.poses,
-                "rows": rows,
+                "rows": rows | {k: v for k, v in known.items() if k not in rows},
             },
         )
     console.print(ablation_table(rows))

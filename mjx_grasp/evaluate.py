@@ -22,7 +22,13 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import success_table
-from mjx_grasp.evaluation.trials import Trials, paired_draws, run_trials, zero_controller
+from mjx_grasp.evaluation.trials import (
+    Trials,
+    incidents,
+    paired_draws,
+    run_trials,
+    zero_controller,
+)
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
@@ -95,7 +101,7 @@ def evaluate(
     handoff_kind: str,
     console: Console,
 ) -> tuple[list[ResultRow], dict[str, Trials]]:
-    """Runs the trials of each object and sums them up.
+    """Runs the trials of each object, sums them up and warns of what the engine could not do.
 
     Args:
         world: Scene and start states.
@@ -103,7 +109,7 @@ def evaluate(
         config: Controller, engine and condition.
         policy: The policy, for the controller `policy`.
         handoff_kind: `ik` or `reached`, for the rows.
-        console: Where the progress bar goes.
+        console: Where the progress bar and warnings go.
     """
     task = policy_task(policy) if policy else ClosingConfig(grip_force=config.squeeze_force)
     worlds = min(config.worlds, config.episodes)
@@ -118,6 +124,7 @@ def evaluate(
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
             trials[name] = run_trials(env, controller, draw, worlds)
             rows.append(summarise(name, trials[name], config, handoff_kind))
+            _warn(name, trials[name], console)
             bar.update(job, advance=1)
     return rows, trials
 
@@ -150,6 +157,22 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
         friction=config.friction,
         handoffs=handoff_kind,
     )
+
+
+def _warn(name: str, trials: Trials, console: Console) -> None:
+    """Says which trials cannot be trusted: contacts were left out, or the numbers were none."""
+    counted, n = incidents([trials]), len(trials.success)
+    if counted["overflows"]:
+        hit = int((trials.overflow_ticks > 0).sum())
+        console.print(
+            f"[yellow]{name}: {counted['overflows']} buffer overflows in {hit} of {n} trials; "
+            "contacts were left out[/yellow]"
+        )
+    if counted["broken_worlds"]:
+        console.print(
+            f"[yellow]{name}: {counted['broken_worlds']} of {n} worlds broken; "
+            "their states stopped being finite[/yellow]"
+        )
 
 
 def shipped_handoffs(objects_dir: Path | None) -> Path:
@@ -203,8 +226,9 @@ def main(config: EvaluateConfig) -> None:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     world = build_world(scene, states, ClosingConfig())
-    rows, _ = evaluate(world, names, config, policy, stored.kind, console)
-    write_results(config.out, rows, provenance(config.seed), not_eligible=without)
+    rows, trials = evaluate(world, names, config, policy, stored.kind, console)
+    counted = incidents(trials.values())
+    write_results(config.out, rows, provenance(config.seed), not_eligible=without, **counted)
     Console().print(success_table(rows))
     console.print(f"written: {config.out}")
 

@@ -57,7 +57,9 @@ def test_a_training_leaves_everything_behind(trained):
     assert len((trained / "metrics.csv").read_text().splitlines()) == 3
     assert load_policy(trained / "policy.npz").meta["objects"] == ["foam_brick"]
     assert len(load_handoffs(trained / "handoffs.npz")) == 8
-    rows = read_results(trained / "results.json").rows
+    results = read_results(trained / "results.json")
+    assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
+    rows = results.rows
     assert [(r.controller, r.squeeze_force_n) for r in rows] == [
         *(("policy", None), ("squeeze", 3.0), ("squeeze", 5.0), ("squeeze", 1.0)),
     ]
@@ -95,6 +97,7 @@ def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
     assert (row.offset_mm, row.angle_deg, row.friction, row.handoffs) == (2.0, 3.0, 0.6, "ik")
     assert row.successes + row.never_lifted + row.not_held + row.slipped == 3
     assert results.provenance["seed"] == 5
+    assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     assert results.provenance["command"].startswith("python -m mjx_grasp.evaluate --controller")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import jax
@@ -34,6 +34,8 @@ class Trials(NamedTuple):
     not_held: Bool[Column, " n"]
     broken: Bool[Column, " n"]
     """The state stopped being finite; counted as never lifted or not held as it was."""
+    overflow_ticks: Int[Column, " n"]
+    """Control ticks in which a contact or constraint did not fit the engine's buffers."""
     force_mean: Float[Column, " n"]
     """Finger force, mean over fingers and ticks since lift onset [N]; nan without a lift."""
     force_peak: Float[Column, " n"]
@@ -97,35 +99,49 @@ def record_trials(
         def tick(carry, _):
             state, obs = carry
             state, out = env.tick(state, controller(obs))
-            return (state, out.obs), (env.physics.pack(state.physics)["qpos"], out.broken)
+            qpos = env.physics.pack(state.physics)["qpos"]
+            return (state, out.obs), (qpos, out.broken, state.readings.overflow)
 
-        (state, _), (qpos, broken) = jax.lax.scan(
+        (state, _), (qpos, broken, overflow) = jax.lax.scan(
             tick, env.start(d), length=env.config.episode_ticks
         )
-        return _trials(env, state)._replace(broken=broken.any(axis=0)), qpos
+        return _trials(env, state, broken, overflow), qpos
 
     trials, qpos = jax.jit(run)(draw)
     return jax.tree.map(np.asarray, trials), np.asarray(qpos)
+
+
+def incidents(runs: Iterable[Trials]) -> dict[str, int]:
+    """What went wrong in the engine: `overflows` [control ticks] and `broken_worlds`, in all."""
+    runs = tuple(runs)
+    return {
+        "overflows": sum(int(run.overflow_ticks.sum()) for run in runs),
+        "broken_worlds": sum(int(run.broken.sum()) for run in runs),
+    }
 
 
 def _episode(env: ClosingEnv, controller: Controller, draw: StartDraw) -> Trials:
     def tick(carry: tuple[EnvState, dict[str, Array]], _: None):
         state, obs = carry
         state, out = env.tick(state, controller(obs))
-        return (state, out.obs), out.broken
+        return (state, out.obs), (out.broken, state.readings.overflow)
 
-    (state, _), broken = jax.lax.scan(tick, env.start(draw), length=env.config.episode_ticks)
-    return _trials(env, state)._replace(broken=broken.any(axis=0))
+    (state, _), seen = jax.lax.scan(tick, env.start(draw), length=env.config.episode_ticks)
+    return _trials(env, state, *seen)
 
 
-def _trials(env: ClosingEnv, state: EnvState) -> Trials:
+def _trials(
+    env: ClosingEnv, state: EnvState, broken: Bool[Array, "t n"], overflow: Bool[Array, "t n"]
+) -> Trials:
+    """Sums up the last state, and what every tick told of the engine."""
     episode = state.episode
     lift_ticks = episode.lift_tick + 1  # the onset's own tick counts
     return Trials(
         row=episode.row,
         success=episode.outcome.success,
         **failure_classes(episode.outcome),
-        broken=episode.broken,
+        broken=broken.any(axis=0),
+        overflow_ticks=overflow.sum(axis=0),
         force_mean=jnp.where(episode.lifting, episode.force_sum / lift_ticks, jnp.nan),
         force_peak=jnp.where(episode.lifting, episode.force_peak, jnp.nan),
         peak_rise=episode.outcome.peak_rise,

@@ -13,7 +13,7 @@ from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.evaluate import EvaluateConfig, evaluate, policy_task
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.tables import success_table
-from mjx_grasp.evaluation.trials import paired_draws, record_trials
+from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.provenance import provenance
@@ -51,11 +51,12 @@ def evaluate_and_report(
         offset_mm=1e3 * config.noise.offset_m,
     )
     rows: list[ResultRow] = []
+    runs: list[Trials] = []
     for force in (None, *SQUEEZE_FORCES_N):
         setting = (
             base if force is None else replace(base, controller="squeeze", squeeze_force=force)
         )
-        new, _ = evaluate(
+        new, trials = evaluate(
             held_out,
             states.object_names,
             setting,
@@ -64,10 +65,11 @@ def evaluate_and_report(
             console,
         )
         rows += new
+        runs += trials.values()
     untrained = replace(base, controller="squeeze", squeeze_force=policy_task(policy).grip_force)
-    before, _ = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
-    label = f"policy, preset {config.preset}"
-    write_results(base.out, rows + before, provenance(config.seed), label=label)
+    before, trials = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
+    label, counted = f"policy, preset {config.preset}", incidents([*runs, *trials.values()])
+    write_results(base.out, rows + before, provenance(config.seed), label=label, **counted)
     console.print(success_table(rows + before))
 
     video, problem = folder / "grasp.mp4", None

@@ -7,6 +7,7 @@ from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.closing.env import ClosingEnv
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
+    incidents,
     paired_draws,
     record_trials,
     run_trials,
@@ -84,14 +85,17 @@ def test_recorded_trials_are_the_same_trials(env, starts):
     )
 
 
-def test_world_that_broke_is_told_of_however_it_is_run(scene, starts):
-    """Broken in the middle, finite again at the end."""
+def test_world_that_broke_or_overflowed_is_told_of_however_it_is_run(scene, starts):
+    """Broken in the middle, finite again at the end; a buffer that was too small in two ticks."""
     from scripted import ScriptedPhysics, draw_of, still
 
     script = still(starts, [0, 0], 20)
     script.q[5, 1] = np.nan
+    script.overflow[[2, 9], 0] = True
     env = ClosingEnv(ScriptedPhysics(scene, script), starts, SHORT, StartNoise(offset_m=0.0))
     run = run_trials(env, zero_controller(env), draw_of([0, 0]), 2)
-    np.testing.assert_array_equal(run.broken, [False, True])
     recorded, _ = record_trials(env, zero_controller(env), draw_of([0, 0]))
-    np.testing.assert_array_equal(recorded.broken, [False, True])
+    for trials in (run, recorded):
+        np.testing.assert_array_equal(trials.broken, [False, True])
+        np.testing.assert_array_equal(trials.overflow_ticks, [2, 0])
+        assert incidents([trials, trials]) == {"overflows": 4, "broken_worlds": 2}

@@ -1,4 +1,7 @@
 import csv
+import sys
+import types
+from importlib.machinery import ModuleSpec
 
 import pytest
 
@@ -60,11 +63,52 @@ def test_resume_purges_the_board_of_what_comes_after_the_checkpoint_only(tmp_pat
 
 
 def test_missing_wandb_is_an_error_of_its_own(tmp_path, monkeypatch):
-    import sys
-
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(InputError, match=r"wandb.*pip install"):
         MetricLog(tmp_path, COLUMNS, wandb_project="grasping")
+
+
+def test_a_project_of_wandb_gets_the_configuration_and_every_row(tmp_path, wandb):
+    log = MetricLog(tmp_path, COLUMNS, wandb_project="grasping", config={"seed": 3})
+    lines = [{"iteration": i, "env_steps": i * STEPS, "return": 2.0 * i} for i in (1, 2)]
+    for line in lines:
+        log.write(line)
+    assert wandb.finished == 0
+    log.close()
+    assert wandb.begun == [
+        {"project": "grasping", "dir": str(tmp_path), "config": {"seed": 3}, "resume": "allow"}
+    ]
+    assert wandb.logged == [(line, line["env_steps"]) for line in lines]
+    assert wandb.finished == 1
+    assert rows(tmp_path) == [(1, 2.0), (2, 4.0)]  # beside the CSV, not instead of it
+
+
+def test_without_a_project_wandb_is_left_alone(tmp_path, wandb):
+    write(tmp_path, [1])
+    assert wandb.begun == wandb.logged == [] and wandb.finished == 0
+
+
+@pytest.fixture
+def wandb(monkeypatch):
+    """A package of that name that records what is asked of it."""
+    module = types.ModuleType("wandb")
+    module.__spec__ = ModuleSpec("wandb", loader=None)
+    module.begun, module.logged, module.finished = [], [], 0
+
+    class Run:
+        def log(self, row, step):
+            module.logged.append((row, step))
+
+        def finish(self):
+            module.finished += 1
+
+    def init(**settings):
+        module.begun.append(settings)
+        return Run()
+
+    module.init = init
+    monkeypatch.setitem(sys.modules, "wandb", module)
+    return module
 
 
 @pytest.fixture

@@ -1,0 +1,94 @@
+"""What an evaluation says of overflowing buffers and of worlds that stop being finite."""
+
+import io
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from mjx_grasp import evaluate as module
+from mjx_grasp.closing import assemble
+from mjx_grasp.closing.assemble import World
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.evaluate import EvaluateConfig, evaluate, main
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.trials import Trials, incidents
+from mjx_grasp.sim.mjx_engine import MjxPhysics
+
+
+@pytest.fixture
+def said(scene, starts, monkeypatch):
+    """Evaluates the squeeze on the box in MJX for ten ticks: counts, and what the console shows."""
+
+    def run(**buffers):
+        monkeypatch.setattr(assemble, "MjxPhysics", partial(MjxPhysics, **buffers))
+        monkeypatch.setattr(module, "ClosingConfig", partial(ClosingConfig, episode_s=0.1))
+        config = EvaluateConfig(
+            out=Path("r.json"), controller="squeeze", engine="mjx", episodes=3, worlds=2
+        )
+        console = Console(file=io.StringIO(), width=200)
+        world = World(scene, starts)
+        rows, trials = evaluate(world, ["box"], config, None, "ik", console)
+        assert [row.object for row in rows] == ["box"]
+        return trials["box"], console.file.getvalue()
+
+    return run
+
+
+def test_buffers_that_are_too_small_are_counted_and_warned_of(said):
+    trials, text = said(constraints_per_world=8)
+    assert trials.overflow_ticks.shape == (3,) and (trials.overflow_ticks > 0).all()
+    assert (trials.overflow_ticks <= 10).all()
+    total = incidents([trials])["overflows"]
+    assert f"box: {total} buffer overflows in 3 of 3 trials" in text
+
+
+def test_the_buffers_of_an_evaluation_hold_and_nothing_is_said(said):
+    trials, text = said()
+    assert incidents([trials]) == {"overflows": 0, "broken_worlds": 0}
+    assert "overflow" not in text and "broken" not in text
+
+
+def trials_of(n, overflow_ticks, broken):
+    """Trials that never lifted anything."""
+    none = np.zeros(n, bool)
+    return Trials(
+        row=np.zeros(n, np.int32),
+        success=none,
+        never_lifted=~none,
+        slipped=none,
+        not_held=none,
+        broken=np.array(broken, bool),
+        overflow_ticks=np.array(overflow_ticks),
+        force_mean=np.full(n, np.nan),
+        force_peak=np.full(n, np.nan),
+        peak_rise=np.zeros(n),
+        reward=np.zeros(n),
+    )
+
+
+@pytest.mark.parametrize(
+    ("overflow_ticks", "broken", "expected"),
+    [
+        ([0, 7, 5], [0, 1, 0], ["12 buffer overflows in 2 of 3 trials", "1 of 3 worlds broken"]),
+        ([0, 0, 0], [0, 0, 0], []),
+    ],
+)
+def test_the_command_warns_on_stderr_and_keeps_the_totals(
+    tmp_path, monkeypatch, capsys, overflow_ticks, broken, expected
+):
+    monkeypatch.setenv("COLUMNS", "200")
+    trials = trials_of(3, overflow_ticks, broken)
+    monkeypatch.setattr(module, "run_trials", lambda *_: trials)
+    out = tmp_path / "results.json"
+    main(EvaluateConfig(out=out, controller="squeeze", objects=("foam_brick",), episodes=3))
+    shown = capsys.readouterr()
+    for text in expected:
+        assert f"foam_brick: {text}" in shown.err
+        assert text not in shown.out
+    if not expected:
+        assert "overflow" not in shown.err and "broken" not in shown.err
+    extra = read_results(out).extra
+    assert (extra["overflows"], extra["broken_worlds"]) == (sum(overflow_ticks), sum(broken))

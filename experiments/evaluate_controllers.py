@@ -23,6 +23,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluate import EvaluateConfig, eligible, evaluate, shipped_handoffs, states_of
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.tables import success_table
+from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.provenance import provenance
@@ -74,6 +75,7 @@ def main(config: ComparisonConfig) -> None:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
     world = build_world(scene, states_of(stored, names, config.states), ClosingConfig())
     rows: list[ResultRow] = []
+    counted: dict[str, int] = {}
     for name in config.conditions:
         base = EvaluateConfig(
             out=config.out,
@@ -89,10 +91,13 @@ def main(config: ComparisonConfig) -> None:
             else:
                 chosen = replace(base, controller="squeeze", squeeze_force=force)
                 controller = None
-            new, _ = evaluate(world, names, chosen, controller, stored.kind, console)
+            new, trials = evaluate(world, names, chosen, controller, stored.kind, console)
             rows += new
+            for what, count in incidents(trials.values()).items():
+                counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
-            write_results(config.out, rows, provenance(config.seed), not_eligible=without)
+            made = provenance(config.seed)
+            write_results(config.out, rows, made, not_eligible=without, **counted)
         Console().print(success_table(rows[-len(names) * (1 + len(config.squeeze_forces)) :]))
 
 

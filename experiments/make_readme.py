@@ -39,6 +39,7 @@ from mjx_grasp.evaluation.tables import (
     summary_table,
     throughput_table,
 )
+from mjx_grasp.learning.policy import load_policy
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"
@@ -89,6 +90,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         },
         root / "experiments" / "README.md": {
             "tables": _all_tables(results),
+            "policy": _shipped_policy(root),
             "runs": _runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "seeds": stage_tables.seeds(
                 [
@@ -221,6 +223,20 @@ def _runs(paths: Sequence[Path]) -> str:
         *("M steps", "s", "steps/s", "success %", "force N"),
     )
     return Table("Training runs", header, lines, names=5).markdown()
+
+
+def _shipped_policy(root: Path) -> str:
+    """The command behind the policy in assets."""
+    path = root / "assets" / "policy.npz"
+    if not path.exists():
+        return NOTHING
+    meta = load_policy(path).meta
+    made = meta["provenance"]
+    return (
+        f"`assets/policy.npz` has seen {meta['env_steps'] / 1e6:.1f} M steps on "
+        f"{len(meta['objects'])} objects; made on {made['device']} at {made['git'][:12]} by\n\n"
+        f"```sh\n{made['command']}\n```"
+    )
 
 
 def _provenance(paths: Sequence[Path]) -> Table:

@@ -201,6 +201,7 @@ def first_run(path: Path) -> str:
         f"{m['return_first_tenth']:.0f} to {m['return_last_tenth']:.0f} and the share of lifted "
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
+        + (f" `make test` took {m['test_s'] / 60:.1f} min." if "test_s" in m else "")
     )
 
 

@@ -1,9 +1,10 @@
-"""Times `make train` from a fresh clone: what a newcomer's first quarter of an hour comes to.
+"""Times `make train` and `make test` from a fresh clone: a newcomer's first half hour.
 
   python experiments/time_make_train.py --clone /tmp/fresh
 
-clones this repository's last commit, runs `make setup` and `make train` there, and writes how long
-they took, how far the return rose and what the evaluation found to
+clones this repository's last commit, runs `make setup`, `make train` and, with `--tests`,
+`make test` there, and writes how long they took, how far the return rose and what the evaluation
+found to
 `experiments/results/make_train_cpu.json`. The clone stays, with the run's report in it.
 Nothing else should run meanwhile.
 """
@@ -23,6 +24,7 @@ import tyro
 from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.provenance import command_line
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -33,6 +35,8 @@ class TimeConfig:
 
     clone: Path
     """Folder to make; it must not be there."""
+    tests: bool = False
+    """Run and time `make test` as well."""
     python: str = "python3"
     """The Python that `make` is given."""
     out: Path = ROOT / "experiments" / "results" / "make_train_cpu.json"
@@ -86,15 +90,17 @@ def main(config: TimeConfig) -> None:
     timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
     setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
     train_s = timed(["make", "train"], config.clone)
+    test_s = timed(["make", "test"], config.clone) if config.tests else None
     (run,) = (config.clone / "runs").iterdir()
     results = json.loads((run / "results.json").read_text())
     durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}
+    durations |= {"test_s": test_s} if test_s is not None else {}
     document = {
         "schema": results["schema"],
         "label": results["label"],
         "make_train": durations | curve(run / "metrics.csv"),
         "rows": results["rows"],
-        "provenance": results["provenance"],
+        "provenance": results["provenance"] | {"command": command_line()},
     }
     with replacing(config.out) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")

@@ -198,7 +198,7 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
             rows.append(
                 (
                     str(file.provenance["device"]),
-                    f"{row.loop}, {_ENGINES.get(row.engine, row.engine)}",
+                    _loop_name(row),
                     f"{row.objects}",
                     f"{row.worlds:,}",
                     f"{row.control_steps_per_s:,.0f}",
@@ -207,6 +207,13 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
             )
     header = ("device", "loop", "objects", "worlds", "control steps/s", "device memory GiB")
     return Table("Speed and memory", header, tuple(rows), names=2)
+
+
+def _loop_name(row: ThroughputRow) -> str:
+    """A loop and the engine that it is around."""
+    if row.loop == "mujoco_warp":
+        return "MuJoCo Warp alone"
+    return f"{row.loop}, {_ENGINES.get(row.engine, row.engine)}"
 
 
 def _meshes_of(results: Results) -> str:

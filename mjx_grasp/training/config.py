@@ -40,7 +40,8 @@ class TrainConfig:
     engine: Engine = "mjx"
     seed: int = 0
     fit_memory: bool = False
-    """Take as many worlds as the device's memory holds instead of ppo.worlds."""
+    """Take as many worlds as the device's memory holds instead of ppo.worlds, 8,192 at most: beyond
+    that a training is no faster."""
     evaluation_episodes: int = 64
     """Episodes per object after training, for policy, untrained policy and squeeze; 0 for none."""
     scene: SceneConfig = field(default_factory=SceneConfig)

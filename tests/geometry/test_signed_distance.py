@@ -148,7 +148,8 @@ def test_field_of_a_stand_in(name):
     far = jnp.asarray(mesh.bounds[1] + 0.3, jnp.float32)
     beyond, outwards = distance_and_normal(field, far)
     _, exact, _ = trimesh.proximity.closest_point(mesh, np.asarray(far)[None])
-    assert float(beyond) == pytest.approx(exact[0], rel=0.15)
+    # By way of the grid's border, which is no shorter.
+    assert exact[0] - 1e-3 < float(beyond) == pytest.approx(exact[0], rel=0.15)
     assert np.asarray(outwards) @ np.ones(3) > 0
 
 

@@ -3,6 +3,11 @@
 Points on the surface and within 10 mm of it; their distances from trimesh's nearest points in
 double precision, their signs from its ray casts.
 
+The normals that come with the distances: their lengths, their angles to central finite differences
+of the same grid's distances (in double precision), and to trimesh's directions from or to its
+nearest points. Left out are points within half a cell of the surface, where that direction is
+rounding, and within one cell of the medial axis, where there are two.
+
   python experiments/signed_distance_scans.py --objects-dir SCANS
 """
 
@@ -26,12 +31,26 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.geometry.distance_field import distance_field
-from mjx_grasp.geometry.signed_distance import signed_distance
+from mjx_grasp.geometry.signed_distance import (
+    DistanceField,
+    distance_and_normal,
+    signed_distance,
+)
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.provenance import provenance
 
-SCHEMA = "mjx_grasp.signed_distance/1"
+SCHEMA = "mjx_grasp.signed_distance/2"
+# Step of the finite differences, [m]: so small that hardly any cross a cell's border.
+STEP = 1e-6
+# A normal that turns by more than this against the step to a point one cell away has passed the
+# medial axis [-]: from 17° to 30° by its direction, or a surface with a radius of 3 cells there.
+RIDGE = 0.3
+# To the middles of the faces and the corners of a cube.
+AROUND = np.array(
+    [d for d in np.ndindex(3, 3, 3) if np.abs(np.subtract(d, 1)).sum() in (1, 3)], float
+)
+AROUND = (AROUND - 1) / np.linalg.norm(AROUND - 1, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -47,12 +66,73 @@ class DistanceConfig:
     """how far from the surface points are drawn [m]"""
     count: int = 4000
     """points on the surface, and as many near it [-]"""
+    count_normals: int = 1000
+    """points of those near it whose normals are compared [-]"""
     seed: int = 0
     out: Path = Path("experiments/results/signed_distance_scans.json")
 
     def __post_init__(self):
         if self.count < 1:
             raise InputError("count", self.count, "a whole number from 1")
+        if not 1 <= self.count_normals <= self.count:
+            raise InputError("count_normals", self.count_normals, "from 1 to count")
+
+
+def exact_normals(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances by trimesh, negative inside, and its directions away from the inside."""
+    nearest, distance, _ = trimesh.proximity.closest_point(mesh, points)
+    inside = mesh.contains(points)
+    away = (points - nearest) / np.maximum(distance, 1e-12)[:, None]
+    return np.where(inside, -distance, distance), np.where(inside[:, None], -away, away)
+
+
+def finite_differences(field: DistanceField, points: np.ndarray) -> np.ndarray:
+    """Central, of the grid's own distances, in double precision."""
+    with jax.enable_x64(True):
+        double = DistanceField(*(jnp.asarray(leaf, jnp.float64) for leaf in field))
+        sides = [
+            signed_distance(double, jnp.asarray(points + side * STEP * axis))
+            for axis in np.eye(3)
+            for side in (1, -1)
+        ]
+        slopes = [
+            np.asarray(a - b) / (2 * STEP) for a, b in zip(sides[::2], sides[1::2], strict=True)
+        ]
+    return np.stack(slopes, axis=-1)
+
+
+def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Between rows [deg]; by the sine too, which is exact for small ones."""
+    sine = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.rad2deg(np.arctan2(sine, np.sum(first * second, axis=1)))
+
+
+def compare_normals(
+    mesh: trimesh.Trimesh, field: DistanceField, points: np.ndarray
+) -> dict[str, Any]:
+    """Percentiles of the errors of the grid's normals at points."""
+    cell = float(field.spacing)
+    distance, exact = exact_normals(mesh, points)
+    around = (points[:, None] + cell * AROUND).reshape(-1, 3)
+    turned = exact_normals(mesh, around)[1].reshape(len(points), -1, 3) - exact[:, None]
+    # Outside distances are the least of those to several parts, inside the greatest.
+    against = -np.sign(distance)[:, None] * np.sum(turned * AROUND, axis=-1)
+    kept = (np.abs(distance) > 0.5 * cell) & (against.max(axis=1) < RIDGE)
+    points, exact = points[kept], exact[kept]
+    normal = distance_and_normal(field, jnp.asarray(points, jnp.float32))[1]
+    normal = np.asarray(normal, np.float64)
+    errors = {
+        "normal_to_finite_differences_deg": angles(normal, finite_differences(field, points)),
+        "normal_to_trimesh_deg": angles(normal, exact),
+        "normal_length_off_by": np.abs(np.linalg.norm(normal, axis=1) - 1),
+    }
+    return {
+        "normals_left_out_percent": round(100 * float(1 - kept.mean()), 1),
+        **{
+            name: {str(q): float(f"{np.percentile(e, q):.3g}") for q in (50, 95)}
+            for name, e in errors.items()
+        },
+    }
 
 
 def compare(mesh: trimesh.Trimesh, config: DistanceConfig) -> dict[str, Any]:
@@ -81,16 +161,32 @@ def compare(mesh: trimesh.Trimesh, config: DistanceConfig) -> dict[str, Any]:
         "right_signs_percent": round(
             100.0 * float(np.mean((found > 0)[clear] == (exact > 0)[clear])), 3
         ),
+        **compare_normals(mesh, field, points[config.count :][: config.count_normals]),
     }
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
     """One line per object."""
     shown = ("worst_mm", "percentile_95_mm", "points_above_1_mm_percent", "right_signs_percent")
+    normals = ("normal_to_finite_differences_deg", "normal_to_trimesh_deg", "normal_length_off_by")
     return Table(
         "Distance grids against trimesh",
-        ("object", "worst mm", "95 % mm", "above 1 mm %", "right signs %"),
-        tuple((r["object"].replace("_", " "), *(f"{r[k]:.2f}" for k in shown)) for r in rows),
+        (
+            "object",
+            "worst mm",
+            "95 % mm",
+            "above 1 mm %",
+            "right signs %",
+            *(f"{what}, 50 % / 95 %" for what in ("slope °", "normal °", "length")),
+        ),
+        tuple(
+            (
+                r["object"].replace("_", " "),
+                *(f"{r[k]:.2f}" for k in shown),
+                *(f"{r[k]['50']:.3f} / {r[k]['95']:.3f}" for k in normals),
+            )
+            for r in rows
+        ),
     )
 
 
@@ -114,6 +210,7 @@ def main(config: DistanceConfig) -> None:
             "spacing_mm": 1e3 * config.spacing,
             "near_mm": 1e3 * config.near,
             "points": 2 * config.count,
+            "points_normals": config.count_normals,
             "without_scan": without_scan,
             "rows": rows,
             "markdown": table(rows).markdown(),

@@ -334,7 +334,33 @@ def signed_distances(path: Path) -> str:
         f"{worst['worst_mm']:.2f} mm ({worst['object'].replace('_', ' ')}); for the median object "
         f"95 % are within {percentile:.2f} mm. For the worst object "
         f"{min(r['right_signs_percent'] for r in rows):.2f} % of the signs are right, half a cell "
-        "and more from the surface."
+        "and more from the surface." + _normals(d)
+    )
+
+
+def _normals(d: dict[str, Any]) -> str:
+    """One sentence about the gradients; none about a file from before they were compared."""
+    rows = d["rows"]
+    if "points_normals" not in d:
+        return ""
+
+    def median(name: str, percentile: str) -> float:
+        return sorted(r[name][percentile] for r in rows)[len(rows) // 2]
+
+    slope, normal = "normal_to_finite_differences_deg", "normal_to_trimesh_deg"
+    length = "normal_length_off_by"
+    worst = max(rows, key=lambda r: r[normal]["95"])
+    left_out = sorted(r["normals_left_out_percent"] for r in rows)[len(rows) // 2]
+    return (
+        f" At {d['points_normals']:,} of the points near it, less those within half a cell of the "
+        f"surface or one of the medial axis ({left_out:.0f} % for the median object), the gradient "
+        f"is within {max(r[slope]['95'] for r in rows):.1g}° of central finite differences for "
+        f"95 % on every object, and {median(normal, '50'):.1f}° (median) and "
+        f"{median(normal, '95'):.1f}° (95 %) from trimesh's direction for the median object, "
+        f"{worst[normal]['95']:.1f}° (95 %) for the worst ({worst['object'].replace('_', ' ')}); "
+        f"its length is off 1 by {median(length, '50'):.3f} (median) and "
+        f"{median(length, '95'):.3f} (95 %), at worst {max(r[length]['95'] for r in rows):.3f} "
+        "(95 %)."
     )
 
 

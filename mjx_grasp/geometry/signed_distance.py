@@ -66,8 +66,9 @@ class Box(NamedTuple):
 class DistanceField(NamedTuple):
     """Distances to a mesh on a regular grid, between which they are interpolated.
 
-    Beyond the grid the distance to its border is added: never more than the true distance to the
-    surface by more than the grid's own error.
+    Beyond the grid the distance to its border is added: at least the true distance to the surface
+    but for the grid's own error, and more by up to twice the distance to the border. Clearances
+    therefore have to be less than the grid reaches beyond the mesh.
 
     Attributes:
         values: ``[nx, ny, nz]`` in [m].

@@ -1,4 +1,4 @@
-"""The figures' scripts, each on one stand-in."""
+"""The scripts of figures and tables, each on few stand-ins."""
 
 import importlib.util
 import json
@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+
+from mjx_grasp.errors import FileError
+from mjx_grasp.objects.model import load_object
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -44,3 +47,33 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
     mean = np.linalg.norm(contacts - anchor, axis=1).mean()
     assert steered["contacts_mm"] == pytest.approx(1e3 * mean)
     assert content["provenance"]["git"] and Image.open(out).width > 400
+
+
+def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")  # as when it is run as a script
+    pieces = script("convex_pieces")
+    out, names = tmp_path / "pieces.json", ("golf_ball", "foam_brick", "mug")
+    pieces.main(pieces.PiecesConfig(out, objects=names, cache_dir=tmp_path))
+    content = json.loads(out.read_text())
+    assert content["schema"] == "mjx_grasp.convex_pieces/1" and content["provenance"]["git"]
+    ball, brick, mug = content["rows"]
+    assert [r["object"] for r in content["rows"]] == list(names)
+    assert [r["kind"] for r in content["rows"]] == ["sphere", "hull", "pieces"]
+    assert (ball["pieces"], ball["most_vertices"]) == (1, 0)
+    assert brick["pieces"] == 1 and brick["most_vertices"] <= 64
+    assert brick["hull_error_95_mm"] == brick["outward_error_95_mm"]
+    model = load_object("mug", cache_dir=tmp_path)
+    assert mug["pieces"] == len(model.pieces) and mug["most_vertices"] <= 64
+    assert mug["outward_error_95_mm"] == pytest.approx(1e3 * model.outward_error_95, abs=1e-3)
+    # The hull closes the mug's opening, radius about 40 mm, where it is farthest from the wall.
+    assert mug["outward_error_95_mm"] < 10.0 < mug["hull_error_95_mm"] < 45.0
+    text = sys.modules["simulation_tables"].convex_pieces(out)
+    assert "Of 3 objects 1 are spheres, 1 one hull" in text
+    assert f"| mug | pieces | {mug['pieces']} | {mug['most_vertices']} |" in text
+
+
+def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    pieces = script("convex_pieces")
+    with pytest.raises(FileError, match="no scan of these objects"):
+        pieces.main(pieces.PiecesConfig(tmp_path / "out.json", objects_dir=tmp_path))

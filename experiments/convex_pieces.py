@@ -44,14 +44,16 @@ class PiecesConfig:
 
 def divided(model: ObjectModel) -> dict[str, Any]:
     """The row of one object; errors in mm."""
-    pieces = model.pieces
+    pieces, error = model.pieces, model.outward_error_95
+    kind = pieces[0].kind if len(pieces) == 1 else "pieces"
+    hull_error = error if kind == "hull" else single_hull(model.mesh)[1]
     return {
         "object": model.name,
-        "kind": pieces[0].kind if len(pieces) == 1 else "pieces",
+        "kind": kind,
         "pieces": len(pieces),
         "most_vertices": max(len(piece.vertices) for piece in pieces),
-        "outward_error_95_mm": round(1e3 * model.outward_error_95, 3),
-        "hull_error_95_mm": round(1e3 * single_hull(model.mesh)[1], 3),
+        "outward_error_95_mm": round(1e3 * error, 3),
+        "hull_error_95_mm": round(1e3 * hull_error, 3),
     }
 
 

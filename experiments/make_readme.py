@@ -107,6 +107,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
             "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
+            "engines": simulation_tables.engines(folder / "engines_cpu.json"),
             "files": _provenance(files).markdown() if files else NOTHING,
         },
     }

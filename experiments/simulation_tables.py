@@ -56,5 +56,34 @@ def pieces_table(rows: Sequence[dict[str, Any]]) -> Table:
     return Table("Convex pieces", header, cells, names=2)
 
 
+def engines(path: Path) -> str:
+    """Control steps per second of both engines on one device, and their ratio."""
+    if not path.exists():
+        return NOTHING
+    d = json.loads(path.read_text())
+    speed = {(r["worlds"], r["engine"]): r for r in d["rows"]}
+    rows = []
+    for worlds in dict.fromkeys(r["worlds"] for r in d["rows"]):
+        mjx, native = speed[worlds, "mjx"], speed[worlds, "mujoco"]
+        rows.append(
+            (
+                f"{worlds:,}",
+                *(f"{r['control_steps_per_s']:,.0f}" for r in (mjx, native)),
+                f"{native['control_steps_per_s'] / mjx['control_steps_per_s']:.0f} ×",
+                *(f"{r['compile_and_first_run_s']:.0f}" for r in (mjx, native)),
+                f"{native['mean_constraints']:.0f}",
+            )
+        )
+    header = (
+        *("worlds", "MJX steps/s", "native MuJoCo steps/s", "native / MJX"),
+        *("MJX compiles s", "native compiles s", "constraints per world"),
+    )
+    objects = ", ".join(name.replace("_", " ") for name in d["objects"])
+    return (
+        f"On {d['provenance']['device']}, with {objects}, {d['substeps']} physics steps per "
+        f"control step:\n\n{Table('Engines', header, tuple(rows)).markdown()}"
+    )
+
+
 def _name(row: dict[str, Any]) -> str:
     return str(row["object"]).replace("_", " ")

@@ -15,8 +15,8 @@ from mjx_grasp.objects.model import load_object
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def script(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "experiments" / f"{name}.py")
+def script(name, folder="experiments"):
+    spec = importlib.util.spec_from_file_location(name, ROOT / folder / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
@@ -77,3 +77,18 @@ def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):
     pieces = script("convex_pieces")
     with pytest.raises(FileError, match="no scan of these objects"):
         pieces.main(pieces.PiecesConfig(tmp_path / "out.json", objects_dir=tmp_path))
+
+
+def test_the_engines_are_timed_and_compared(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    benchmark, out = script("engines", "benchmarks"), tmp_path / "engines.json"
+    benchmark.main(
+        benchmark.EnginesConfig(out, worlds=(2,), engines=("mujoco",), warm_up=2, ticks=1)
+    )
+    content = json.loads(out.read_text())
+    (native,) = content["rows"]
+    assert content["schema"] == "mjx_grasp.engines/1" and content["substeps"] == 5
+    assert native["control_steps_per_s"] == pytest.approx(2e3 / native["ms_per_control_tick"])
+    slow = native | {"engine": "mjx", "control_steps_per_s": native["control_steps_per_s"] / 40}
+    out.write_text(json.dumps(content | {"rows": [slow, native]}))
+    assert "| 40 × |" in script("simulation_tables").engines(out)

@@ -71,17 +71,23 @@ def engines(path: Path) -> str:
                 *(f"{r['control_steps_per_s']:,.0f}" for r in (mjx, native)),
                 f"{native['control_steps_per_s'] / mjx['control_steps_per_s']:.0f} ×",
                 *(f"{r['compile_and_first_run_s']:.0f}" for r in (mjx, native)),
-                f"{native['mean_constraints']:.0f}",
+                *(f"{r['slowest_over_fastest']:.2f}" for r in (mjx, native)),
             )
         )
     header = (
         *("worlds", "MJX steps/s", "native MuJoCo steps/s", "native / MJX"),
-        *("MJX compiles s", "native compiles s", "constraints per world"),
+        *(
+            "MJX compiles s",
+            "native compiles s",
+            "MJX slowest / fastest",
+            "native slowest / fastest",
+        ),
     )
     objects = ", ".join(name.replace("_", " ") for name in d["objects"])
     return (
         f"On {d['provenance']['device']}, with {objects}, {d['substeps']} physics steps per "
-        f"control step:\n\n{Table('Engines', header, tuple(rows)).markdown()}"
+        "control step; compiling holds one run, slowest and fastest are of the "
+        f"{d['settings']['repeats']} timed:\n\n{Table('Engines', header, tuple(rows)).markdown()}"
     )
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.model import load_object
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -51,25 +51,29 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
 
 def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")  # as when it is run as a script
+    scans, out = tmp_path / "scans", tmp_path / "pieces.json"
+    scans.mkdir()
+    trimesh.creation.icosphere(subdivisions=3, radius=0.02).export(scans / "058_golf_ball.obj")
+    cubes = [trimesh.creation.box(extents=(0.04,) * 3) for _ in range(2)]
+    cubes[0].export(scans / "061_foam_brick.obj")
+    cubes[1].apply_translation((0.1, 0.0, 0.0))
+    trimesh.util.concatenate(cubes).export(scans / "025_mug.obj")
     pieces = script("convex_pieces")
-    out, names = tmp_path / "pieces.json", ("golf_ball", "foam_brick", "mug")
-    pieces.main(pieces.PiecesConfig(out, objects=names, cache_dir=tmp_path))
+    names = ("golf_ball", "wine_glass", "foam_brick", "mug")
+    pieces.main(pieces.PiecesConfig(out, scans, objects=names, cache_dir=tmp_path))
     content = json.loads(out.read_text())
     assert content["schema"] == "mjx_grasp.convex_pieces/1" and content["provenance"]["git"]
-    ball, brick, mug = content["rows"]
-    assert [r["object"] for r in content["rows"]] == list(names)
-    assert [r["kind"] for r in content["rows"]] == ["sphere", "hull", "pieces"]
-    assert (ball["pieces"], ball["most_vertices"]) == (1, 0)
-    assert brick["pieces"] == 1 and brick["most_vertices"] <= 64
-    assert brick["hull_error_95_mm"] == brick["outward_error_95_mm"]
-    model = load_object("mug", cache_dir=tmp_path)
-    assert mug["pieces"] == len(model.pieces) and mug["most_vertices"] <= 64
-    assert mug["outward_error_95_mm"] == pytest.approx(1e3 * model.outward_error_95, abs=1e-3)
-    # The hull closes the mug's opening, radius about 40 mm, where it is farthest from the wall.
-    assert mug["outward_error_95_mm"] < 10.0 < mug["hull_error_95_mm"] < 45.0
+    assert content["without_scan"] == ["wine_glass"]
+    found = {r.pop("object"): tuple(r.values()) for r in content["rows"]}
+    assert found["golf_ball"][:3] == ("sphere", 1, 0)
+    assert found["foam_brick"][:3] == ("hull", 1, 8)
+    assert found["mug"][:3] == ("pieces", 2, 8)
+    assert found["foam_brick"][3:] == pytest.approx((0.0, 0.0), abs=1e-3)
+    # The gap is 60 mm wide; 5 % of a common hull's surface lie within 4 mm of its middle.
+    assert found["mug"][3:] == (pytest.approx(0.0, abs=1e-3), pytest.approx(26.0, abs=0.5))
     text = sys.modules["simulation_tables"].convex_pieces(out)
-    assert "Of 3 objects 1 are spheres, 1 one hull" in text
-    assert f"| mug | pieces | {mug['pieces']} | {mug['most_vertices']} |" in text
+    assert "Of 3 objects 1 are spheres, 1 one hull" in text and "scan: wine glass" in text
+    assert "| mug | pieces | 2 | 8 | 0.00 | 2" in text
 
 
 def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):

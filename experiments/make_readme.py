@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import simulation_tables
 import stage_tables
 import tyro
 from stage_tables import NOTHING
@@ -111,6 +112,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
+            "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
+            "engines": simulation_tables.engines(folder / "engines_cpu.json"),
             "files": _provenance(files).markdown() if files else NOTHING,
         },
     }

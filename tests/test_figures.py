@@ -1,4 +1,4 @@
-"""The figures' scripts, each on one stand-in."""
+"""The scripts of figures and tables, each on few stand-ins."""
 
 import importlib.util
 import json
@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
+
+from mjx_grasp.errors import FileError
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def script(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "experiments" / f"{name}.py")
+def script(name, folder="experiments"):
+    spec = importlib.util.spec_from_file_location(name, ROOT / folder / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
@@ -44,3 +47,52 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
     mean = np.linalg.norm(contacts - anchor, axis=1).mean()
     assert steered["contacts_mm"] == pytest.approx(1e3 * mean)
     assert content["provenance"]["git"] and Image.open(out).width > 400
+
+
+def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")  # as when it is run as a script
+    scans, out = tmp_path / "scans", tmp_path / "pieces.json"
+    scans.mkdir()
+    trimesh.creation.icosphere(subdivisions=3, radius=0.02).export(scans / "058_golf_ball.obj")
+    cubes = [trimesh.creation.box(extents=(0.04,) * 3) for _ in range(2)]
+    cubes[0].export(scans / "061_foam_brick.obj")
+    cubes[1].apply_translation((0.1, 0.0, 0.0))
+    trimesh.util.concatenate(cubes).export(scans / "025_mug.obj")
+    pieces = script("convex_pieces")
+    names = ("golf_ball", "wine_glass", "foam_brick", "mug")
+    pieces.main(pieces.PiecesConfig(out, scans, objects=names, cache_dir=tmp_path))
+    content = json.loads(out.read_text())
+    assert content["schema"] == "mjx_grasp.convex_pieces/1" and content["provenance"]["git"]
+    assert content["without_scan"] == ["wine_glass"]
+    found = {r.pop("object"): tuple(r.values()) for r in content["rows"]}
+    assert found["golf_ball"][:3] == ("sphere", 1, 0)
+    assert found["foam_brick"][:3] == ("hull", 1, 8)
+    assert found["mug"][:3] == ("pieces", 2, 8)
+    assert found["foam_brick"][3:] == pytest.approx((0.0, 0.0), abs=1e-3)
+    # The gap is 60 mm wide; 5 % of a common hull's surface lie within 4 mm of its middle.
+    assert found["mug"][3:] == (pytest.approx(0.0, abs=1e-3), pytest.approx(26.0, abs=0.5))
+    text = sys.modules["simulation_tables"].convex_pieces(out)
+    assert "Of 3 objects 1 are spheres, 1 one hull" in text and "scan: wine glass" in text
+    assert "| mug | pieces | 2 | 8 | 0.00 | 2" in text
+
+
+def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    pieces = script("convex_pieces")
+    with pytest.raises(FileError, match="no scan of these objects"):
+        pieces.main(pieces.PiecesConfig(tmp_path / "out.json", objects_dir=tmp_path))
+
+
+def test_the_engines_are_timed_and_compared(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    benchmark, out = script("engines", "benchmarks"), tmp_path / "engines.json"
+    benchmark.main(
+        benchmark.EnginesConfig(out, worlds=(2,), engines=("mujoco",), warm_up=2, ticks=1)
+    )
+    content = json.loads(out.read_text())
+    (native,) = content["rows"]
+    assert content["schema"] == "mjx_grasp.engines/1" and content["substeps"] == 5
+    assert native["control_steps_per_s"] == pytest.approx(2e3 / native["ms_per_control_tick"])
+    slow = native | {"engine": "mjx", "control_steps_per_s": native["control_steps_per_s"] / 40}
+    out.write_text(json.dumps(content | {"rows": [slow, native]}))
+    assert "| 40 × |" in script("simulation_tables").engines(out)

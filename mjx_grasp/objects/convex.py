@@ -69,6 +69,7 @@ def convex_pieces(
 
     A ball becomes a sphere; a mesh whose reduced hull is off by at most ``single_hull_error``
     becomes that hull; everything else goes to coacd, component by component, with a fixed seed.
+    There are never more than ``max_pieces``: of more components, small ones share a hull.
 
     Returns:
         The pieces and their 95 % outward error (m), see ``outward_error``.
@@ -76,12 +77,19 @@ def convex_pieces(
     ball = _ball(mesh, config)
     if ball is not None:
         return (ball,), outward_error(mesh, (ball,), config)
-    whole = (_hull(np.asarray(mesh.vertices), config.max_vertices),)
-    error = outward_error(mesh, whole, config)
+    hull, error = single_hull(mesh, config)
     if error <= config.single_hull_error:
-        return whole, error
+        return (hull,), error
     pieces = _decomposed(mesh, config)
     return pieces, outward_error(mesh, pieces, config)
+
+
+def single_hull(
+    mesh: trimesh.Trimesh, config: ConvexConfig = ConvexConfig()
+) -> tuple[Piece, float]:
+    """One hull of the whole mesh and its 95 % outward error (m)."""
+    hull = _hull(np.asarray(mesh.vertices), config.max_vertices)
+    return hull, outward_error(mesh, (hull,), config)
 
 
 def outward_error(
@@ -122,17 +130,48 @@ def _ball(mesh: trimesh.Trimesh, config: ConvexConfig) -> Piece | None:
 
 
 def _decomposed(mesh: trimesh.Trimesh, config: ConvexConfig) -> tuple[Piece, ...]:
-    """Pieces of each component: its own hull where that is enough, else coacd's."""
-    parts = split(mesh)
+    """At most ``max_pieces``: each component's own hull where that is enough, else coacd's."""
+    parts = _gathered(split(mesh), config.max_pieces)
     hulls = [_hull(np.asarray(part.vertices), config.max_vertices) for part in parts]
-    concave = [outward_error(mesh, (hull,), config) > config.single_hull_error for hull in hulls]
-    budget = max(config.max_pieces - (len(parts) - sum(concave)), 0)
-    area = np.array([part.area if c else 0.0 for part, c in zip(parts, concave, strict=True)])
-    share = np.floor(budget * area / max(area.sum(), 1e-12)).astype(int)
+    concave = np.array(
+        [outward_error(mesh, (hull,), config) > config.single_hull_error for hull in hulls]
+    )
+    area = np.where(concave, [part.area for part in parts], 0.0)
+    budget = config.max_pieces - int(np.sum(~concave))
+    share = np.maximum(np.floor(budget * area / max(area.sum(), 1e-12)).astype(int), 1)
+    # A component gets one piece however small its share: the largest shares give them up.
+    while share[concave].sum() > budget:
+        share[np.argmax(share)] -= 1
     pieces: list[Piece] = []
-    for part, hull, is_concave, count in zip(parts, hulls, concave, share, strict=True):
-        pieces += _coacd(part, max(int(count), 1), config) if is_concave else [hull]
+    for part, hull, count in zip(parts, hulls, share, strict=True):
+        pieces += _coacd(part, int(count), config) if count > 1 else [hull]
     return tuple(pieces)
+
+
+def _gathered(parts: list[trimesh.Trimesh], limit: int) -> list[trimesh.Trimesh]:
+    """At most ``limit`` meshes of the components.
+
+    While there are more, the one of the smallest hull joins that with which a common hull encloses
+    the least volume besides the two.
+    """
+    parts = list(parts)
+    volume = [part.convex_hull.volume for part in parts]
+    while len(parts) > limit:
+        k = int(np.argmin(volume))
+        smallest = parts.pop(k)
+        own = volume.pop(k)
+        joined = [_joined(part, smallest) for part in parts]
+        common = np.array([part.convex_hull.volume for part in joined])
+        j = int(np.argmin(common - volume - own))
+        parts[j], volume[j] = joined[j], float(common[j])
+    return parts
+
+
+def _joined(a: trimesh.Trimesh, b: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The components of both."""
+    vertices = np.concatenate([a.vertices, b.vertices])
+    faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _coacd(mesh: trimesh.Trimesh, count: int, config: ConvexConfig) -> list[Piece]:

@@ -24,7 +24,7 @@ from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.objects.resting import RestingPose, resting_poses
 
-_CACHE_FORMAT = 2
+_CACHE_FORMAT = 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,6 +127,56 @@ def test_a_mug_is_several_pieces_and_stays_open(divided):
     assert not any(piece.contains(opening)[0] for piece in pieces)
 
 
+def row_of_boxes(count, gap=0.05):
+    """Cubes of 10 mm along x, and the corners of each."""
+    cubes = [trimesh.creation.box(extents=(0.01,) * 3) for _ in range(count)]
+    for k, cube in enumerate(cubes):
+        cube.apply_translation((k * gap, 0.0, 0.0))
+    return trimesh.util.concatenate(cubes), [np.asarray(cube.vertices) for cube in cubes]
+
+
+def test_components_within_the_limit_keep_their_own_hulls():
+    mesh, cubes = row_of_boxes(12)
+    pieces, error = convex_pieces(mesh, FEW)
+    assert [len(piece.vertices) for piece in pieces] == [8] * 12 and error < 1e-6
+    for piece, corners in zip(pieces, cubes, strict=True):
+        np.testing.assert_allclose(piece.pos, corners.mean(axis=0), atol=1e-9)
+
+
+def test_twenty_components_share_twelve_pieces():
+    mesh, cubes = row_of_boxes(20)
+    pieces, _ = convex_pieces(mesh, FEW)
+    assert len(pieces) == 12
+    held = np.array([[piece.contains(c, 1e-9).all() for piece in pieces] for c in cubes])
+    np.testing.assert_array_equal(held.sum(axis=1), 1)  # every cube in one piece, whole
+    for piece, members in zip(pieces, held.T, strict=True):
+        cells = np.flatnonzero(members)
+        np.testing.assert_array_equal(cells, np.arange(cells[0], cells[-1] + 1))  # neighbours
+        corners = np.concatenate([cubes[k] for k in cells])
+        assert piece.surface().volume == pytest.approx(trimesh.convex.convex_hull(corners).volume)
+
+
+def test_a_large_component_stays_alone_while_small_ones_are_gathered():
+    small, _ = row_of_boxes(14)
+    large = trimesh.creation.box(extents=(0.3, 0.3, 0.3))
+    large.apply_translation((0.3, 0.0, 0.2))
+    pieces, _ = convex_pieces(trimesh.util.concatenate([small, large]), FEW)
+    assert len(pieces) == 12
+    assert max(piece.surface().volume for piece in pieces) == pytest.approx(0.027, rel=1e-6)
+
+
+def test_shares_of_concave_components_keep_the_limit():
+    rings = [trimesh.creation.annulus(r / 2, r, 0.02, sections=16) for r in (0.10, 0.03, 0.03)]
+    for k, ring in enumerate(rings):
+        ring.apply_translation((0.2 * k, 0.0, 0.0))
+    # By area the shares are 3, 1 and 1: one too many.
+    pieces, _ = convex_pieces(
+        trimesh.util.concatenate(rings), ConvexConfig(samples=300, max_pieces=4)
+    )
+    assert len(pieces) == 4
+    assert sum(piece.pos[0] < 0.15 for piece in pieces) == 2
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_pieces_keep_the_limits_and_are_solid(divided, name):
     _, pieces, _ = divided[name]

@@ -285,9 +285,13 @@ def reach_ablation(path: Path) -> str:
         return NOTHING
     shown = ablation_table(d["rows"]).markdown()
     solvable = d["rows"]["default"]["solvable_percent"]["20"]
+    made: dict[str, list[str]] = {}
+    for name, row in d["rows"].items():
+        made.setdefault(row["provenance"]["device"], []).append(name)
+    devices = "; ".join(f"{', '.join(names)} on {device}" for device, names in made.items())
     return (
         f"Reaches converged, in %, of {d['poses']:,} poses, for {solvable:.1f} % of which a "
-        f"solution exists within 20 mm:\n\n{shown}"
+        f"solution exists within 20 mm ({devices}):\n\n{shown}"
     )
 
 

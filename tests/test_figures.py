@@ -3,14 +3,16 @@
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from mjx_grasp.errors import FileError
+from mjx_grasp.errors import FileError, InputError
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -96,3 +98,35 @@ def test_the_engines_are_timed_and_compared(tmp_path, monkeypatch):
     slow = native | {"engine": "mjx", "control_steps_per_s": native["control_steps_per_s"] / 40}
     out.write_text(json.dumps(content | {"rows": [slow, native]}))
     assert "| 40 × |" in script("simulation_tables").engines(out)
+
+
+def test_the_ablation_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    ablation = script("reach_ablation")
+    swept = []
+
+    def run_sweep(sweep, console):
+        swept.append(sweep.preset)
+        if len(swept) == 3:
+            raise KeyboardInterrupt
+        values = {t: dict.fromkeys(("1", "3", "7"), 50.0) for t in ("20", "10")}
+        wrap = {"median": 5.0, "mean": 6.0}
+        made = {"rate_percent": values, "handoff_mm": {"index": wrap, "middle": wrap}}
+        return SimpleNamespace(result=made | {"seconds_to_20mm": {"50": 1.5}, "poses": 8})
+
+    monkeypatch.setattr(ablation, "run_sweep", run_sweep)
+    config = ablation.AblationConfig(out=tmp_path / "ablation.json", poses=8, seed=4)
+    with pytest.raises(KeyboardInterrupt):
+        ablation.main(config)
+    presets = list(ablation.PRESETS)
+    sweep = json.loads(config.out.read_text()) | {"preset": "default"}
+    sweep |= sweep.pop("rows")["paper"]
+    (tmp_path / "sweep.json").write_text(json.dumps(sweep))
+    ablation.main(replace(config, resume=True, sweeps=(tmp_path / "sweep.json",)))
+    assert swept == presets[:3] + presets[2:-1]
+    rows = json.loads(config.out.read_text())["rows"]
+    assert list(rows) == presets and all(row["provenance"]["git"] for row in rows.values())
+    with pytest.raises(InputError, match="'seed': 5"):
+        ablation.main(replace(config, seed=5, resume=True))
+    with pytest.raises(FileError, match=r"nothing\.json"):
+        ablation.main(replace(config, sweeps=(tmp_path / "nothing.json",)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import reach_tables
 import simulation_tables
 import stage_tables
 import tyro
@@ -86,7 +87,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         root / "README.md": {
             "results": _main_results(results),
             "throughput": _throughput(throughput),
-            "reach": stage_tables.reach_rates(folder / "reach_sweep_h200.json"),
+            "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
         },
         root / "experiments" / "README.md": {
@@ -102,16 +103,16 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
-            "ablation": stage_tables.reach_ablation(folder / "reach_ablation.json"),
-            "limits": stage_tables.reach_limits(
+            "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
+            "limits": reach_tables.reach_limits(
                 [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]
             ),
-            "qp": stage_tables.qp_speed(folder / "qp_cpu.json"),
-            "reach-speed": stage_tables.reach_speed(
+            "qp": reach_tables.qp_speed(folder / "qp_cpu.json"),
+            "reach-speed": reach_tables.reach_speed(
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
             ),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
-            "distances": stage_tables.signed_distances(folder / "signed_distance_scans.json"),
+            "distances": reach_tables.signed_distances(folder / "signed_distance_scans.json"),
             "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
             "engines": simulation_tables.engines(folder / "engines_cpu.json"),
             "files": _provenance(files).markdown() if files else NOTHING,

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import tyro
+from reach_tables import ablation_table
 from rich.console import Console
-from stage_tables import ablation_table
 
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command

@@ -1,4 +1,4 @@
-"""Tables of the stages before closing, for the READMEs: heatmap, steering, reaching.
+"""Tables for the READMEs: heatmap, steering, the first run, seeds.
 
 Each takes the path of one results file and gives Markdown; `make_readme.py` puts it in place.
 """
@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.layout import Table
-from mjx_grasp.reaching.results import PAPER_HANDOFF_MM, PAPER_RATE
-from mjx_grasp.reaching.sweep import BUDGETS
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
 NOTHING = "_No results file yet._"
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def read(path: Path) -> dict[str, Any] | None:
+    """A results file; None where there is none."""
     return json.loads(path.read_text()) if path.exists() else None
 
 
@@ -48,7 +47,7 @@ def heatmap_speed(paths: Sequence[Path]) -> str:
 
 def heatmap_oracle(path: Path) -> str:
     """Agreement with the independent implementation."""
-    d = _read(path)
+    d = read(path)
     if d is None:
         return NOTHING
     rows = tuple(
@@ -67,7 +66,7 @@ def heatmap_oracle(path: Path) -> str:
 
 def heatmap_ranking(path: Path) -> str:
     """Where the objects that the publication calls hard stand among all."""
-    d = _read(path)
+    d = read(path)
     if d is None:
         return NOTHING
     seen = d["watched"]
@@ -86,7 +85,7 @@ def heatmap_ranking(path: Path) -> str:
 
 def steering(path: Path) -> str:
     """Distance of the chosen contacts from the anchor."""
-    d = _read(path)
+    d = read(path)
     if d is None:
         return NOTHING
     found: dict[tuple[str, str], dict[str, float]] = {}
@@ -104,92 +103,9 @@ def steering(path: Path) -> str:
     return Table("Steering", ("object", "instruction", *labels), rows, names=2).markdown()
 
 
-def reach_rates(path: Path) -> str:
-    """The sweep beside the publication's, and the tip errors at handoff."""
-    d = _read(path)
-    if d is None:
-        return NOTHING
-    ours, published = d["rate_percent"], d["paper_rate_percent"]
-    budgets = list(next(iter(ours.values())))
-    rows = tuple(
-        (f"{mm} mm", *(f"{ours[mm][b]:.1f} / {published[mm][b]:.1f}" for b in budgets))
-        for mm in ours
-    )
-    rates = Table("Reach", ("tolerance", *(f"{b} s" for b in budgets)), rows)
-    tips, safe = d["handoff_mm"], d["limits"]["safe"]
-    errors = ", ".join(
-        f"{name} {tips[name]['mean']:.1f} ± {tips[name]['std']:.1f} "
-        f"(paper {tips[name]['paper'][0]:.1f} ± {tips[name]['paper'][1]:.1f})"
-        for name in ("thumb", "index", "middle", "midpoint")
-    )
-    return "\n\n".join(
-        (
-            f"Reaches that converged, in % (ours / paper), of {d['poses']:,} random cylinder "
-            "poses, by tolerance and fine-adjustment time; a solution exists for "
-            f"{d['solvable_percent']['20']:.1f} %. Counted from the start of the motion, "
-            f"{d['rate_percent_since_start']['20']['3']:.1f} % are within 20 mm after 3 s; from "
-            "when the tips were first within 140 mm, with a timer that a retreat does not set "
-            f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %. The "
-            f"sweep took {sum(d['seconds'][k] for k in ('planning', 'reaching')):.0f} s on one "
-            f"{d['provenance']['device']}, compilation apart:",
-            rates.markdown(),
-            f"Tip errors at handoff in mm: {errors}.",
-            f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
-            f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick ("
-            f"{1e3 * d['settings']['reach']['limits']['object_clearance']:.0f} mm are asked for), "
-            f"no two fingers nearer than {safe['least_finger_distance_mm']:.1f} mm, and no joint "
-            f"was faster than {safe['largest_speed_over_limit']:.2f} of its limit.",
-        )
-    )
-
-
-def reach_limits(paths: Sequence[Path]) -> str:
-    """The worst of every tick of the sweeps, by how a reach started."""
-    names = {
-        "safe": "as far as asked or farther",
-        "near": "nearer",
-        "in_contact": "in contact, up to {:.0f} mm deep",
-    }
-    rows = []
-    for path in paths:
-        d = _read(path)
-        for kind, name in names.items() if d else ():
-            worst = d["limits"][kind]
-            rows.append(
-                (
-                    d["provenance"]["device"],
-                    name.format(worst["deepest_start_mm"]),
-                    f"{worst['reaches']:,}",
-                    f"{worst['ticks']:,}",
-                    f"{worst['largest_speed_over_limit']:.2f}",
-                    f"{worst['farthest_beyond_joint_limit_rad']:.2f}",
-                    f"{worst['least_object_distance_mm']:.2f}",
-                    f"{worst['most_object_distance_lost_mm']:.3f}",
-                    f"{worst['least_table_height_over_asked_mm']:.2f}",
-                    f"{worst['least_finger_distance_mm']:.2f}",
-                    f"{worst['least_arm_to_itself_mm']:.1f}",
-                    f"{worst['ticks_infeasible']}",
-                )
-            )
-    header = (
-        *(
-            "device",
-            "start",
-            "reaches",
-            "ticks",
-            "speed over its limit",
-            "beyond a joint limit rad",
-        ),
-        *("to object mm", "lost of it mm", "over the table's mm", "between fingers mm"),
-        *("arm to itself mm", "infeasible ticks"),
-    )
-    table = Table("Limits", header, tuple(rows), names=2)
-    return table.markdown() if rows else NOTHING
-
-
 def first_run(path: Path) -> str:
     """What `make train` took from a fresh clone, and what it learned."""
-    d = _read(path)
+    d = read(path)
     if d is None or "make_train" not in d:
         return NOTHING
     m = d["make_train"]
@@ -205,174 +121,11 @@ def first_run(path: Path) -> str:
     )
 
 
-def qp_speed(path: Path) -> str:
-    """Solvers on the problems of the published and of the default controller's reaches."""
-    d = _read(path)
-    if d is None:
-        return NOTHING
-    rows = []
-    for name in ("paper", "default"):
-        for row in d[name]["rows"]:
-            setup, kkt = row.get("problems_per_s_with_setup"), row.get("kkt_p99")
-            errors = row["errors"]
-            rows.append(
-                (
-                    name,
-                    row["solver"],
-                    f"{row['problems_per_s']:,.0f}"
-                    + ("" if setup is None else f" ({setup:,.0f} with set-up)"),
-                    *(f"{errors['velocity'][p]:.1e}" for p in ("p50", "p99")),
-                    f"{errors['objective']['p99']:.1e}",
-                    f"{errors['violation']['p99']:.1e}",
-                    "" if kkt is None else f"{max(kkt.values()):.1e}",
-                )
-            )
-    header = (
-        *("reaches of", "solver", "problems/s", "error of q̇ rad/s, median", "99 %"),
-        *("objective gap, 99 %", "violation m/s, 99 %", "largest KKT residual, 99 %"),
-    )
-    size = d["default"]
-    return (
-        f"{d['paper']['problems']:,} and {size['problems']:,} problems of {size['variables']} "
-        f"variables and {size['half_spaces']} half-spaces, on {d['provenance']['device']}; the "
-        "exact answers are qpax's in float64:\n\n"
-        + Table("QP", header, tuple(rows), names=2).markdown()
-    )
-
-
-def reach_speed(paths: Sequence[Path]) -> str:
-    """Control ticks, and reaches one after another beside mink's."""
-    ticks, reaches = [], []
-    for path in paths:
-        d = _read(path)
-        device = "" if d is None else d["provenance"]["device"]
-        if d and d["processor_cores"] == 1:
-            device = device.replace("2 cores", "1 of 2 cores")
-        for row in d["rows"] if d else ():
-            if "worlds" in row:
-                shown = f"{row['ms_per_tick']:.2f}", f"{row['robot_ticks_per_s']:,.0f}"
-                ticks.append((device, row["controller"], f"{row['worlds']:,}", *shown))
-                continue
-            if "converged_reaches_per_s" not in row:  # no comparison, for want of mink
-                continue
-            plan, whole = row.get("ms_per_plan"), row.get("reaches_per_s_with_planning")
-            shown = (
-                f"{row['converged_20mm_3s_percent']:.0f}",
-                f"{row['ms_per_tick']:.2f}",
-                "" if not plan else f"{plan:.0f}",
-                f"{row['reaches_per_s']:.1f}" if not plan else f"{whole:.1f}",
-                f"{row['converged_reaches_per_s']:.1f}",
-            )
-            reaches.append((device, row["controller"], f"{row['reaches']}", *shown))
-    if not ticks:
-        return NOTHING
-    header = ("device", "controller", "robots", "ms per tick", "robot ticks/s")
-    others = (
-        *("device", "controller", "reaches", "converged %", "ms per tick", "ms per plan"),
-        *("reaches/s with planning", "converged reaches/s"),
-    )
-    return (
-        Table("Ticks", header, tuple(ticks), names=2).markdown()
-        + "\n\nOne robot, one reach after another, until every tip is within 20 mm, for 3 s at "
-        "most:\n\n" + Table("Reaches", others, tuple(reaches), names=2).markdown()
-    )
-
-
-def reach_ablation(path: Path) -> str:
-    """The published controller and each addition to it."""
-    d = _read(path)
-    if d is None:
-        return NOTHING
-    shown = ablation_table(d["rows"]).markdown()
-    solvable = d["rows"]["default"]["solvable_percent"]["20"]
-    made: dict[str, list[str]] = {}
-    for name, row in d["rows"].items():
-        made.setdefault(row["provenance"]["device"], []).append(name)
-    devices = "; ".join(f"{', '.join(names)} on {device}" for device, names in made.items())
-    return (
-        f"Reaches converged, in %, of {d['poses']:,} poses, for {solvable:.1f} % of which a "
-        f"solution exists within 20 mm ({devices}):\n\n{shown}"
-    )
-
-
-def ablation_table(rows: dict[str, dict[str, Any]]) -> Table:
-    """Rates of each preset's sweep beside the published ones, by tolerance and time.
-
-    With errors of the wraps at handoff (index/middle), and how long half of the reaches took.
-    """
-    header = (
-        "",
-        *(f"{t} mm, {b} s" for t in (20, 10) for b in (1, 3, 7)),
-        "wraps mm, median",
-        "wraps mm, mean",
-        "median s to 20 mm",
-    )
-    cells = []
-    for name, row in rows.items():
-        rate = [row["rate_percent"][t][b] for t in ("20", "10") for b in ("1", "3", "7")]
-        wraps = [
-            "/".join(f"{row['handoff_mm'][finger][kind]:.1f}" for finger in ("index", "middle"))
-            for kind in ("median", "mean")
-        ]
-        seconds = row["seconds_to_20mm"]["50"]
-        shown = "" if seconds is None else f"{seconds:.2f}"
-        cells.append((name, *(f"{v:.1f}" for v in rate), *wraps, shown))
-    paper = {t: dict(zip(BUDGETS, PAPER_RATE[t], strict=True)) for t in ("20", "10")}
-    published = [f"{paper[t][b]:.1f}" for t in ("20", "10") for b in (1.0, 3.0, 7.0)]
-    errors = "/".join(f"{PAPER_HANDOFF_MM[finger][0]:.1f}" for finger in ("index", "middle"))
-    cells.append(("published", *published, "", errors, ""))
-    return Table("Reaches converged [%], each row with one addition", header, tuple(cells))
-
-
-def signed_distances(path: Path) -> str:
-    """Errors of the distance grids."""
-    d = _read(path)
-    if d is None:
-        return NOTHING
-    rows = d["rows"]
-    worst = max(rows, key=lambda r: r["worst_mm"])
-    percentile = sorted(r["percentile_95_mm"] for r in rows)[len(rows) // 2]
-    return (
-        f"Of {d['points']:,} points on and within {d['near_mm']:.0f} mm of each of {len(rows)} "
-        f"objects, the signed distance by a grid of {d['spacing_mm']:g} mm is off by at most "
-        f"{worst['worst_mm']:.2f} mm ({worst['object'].replace('_', ' ')}); for the median object "
-        f"95 % are within {percentile:.2f} mm. For the worst object "
-        f"{min(r['right_signs_percent'] for r in rows):.2f} % of the signs are right, half a cell "
-        "and more from the surface." + _normals(d)
-    )
-
-
-def _normals(d: dict[str, Any]) -> str:
-    """One sentence about the gradients; none about a file from before they were compared."""
-    rows = d["rows"]
-    if "points_normals" not in d:
-        return ""
-
-    def median(name: str, percentile: str) -> float:
-        return sorted(r[name][percentile] for r in rows)[len(rows) // 2]
-
-    slope, normal = "normal_to_finite_differences_deg", "normal_to_trimesh_deg"
-    length = "normal_length_off_by"
-    worst = max(rows, key=lambda r: r[normal]["95"])
-    left_out = sorted(r["normals_left_out_percent"] for r in rows)[len(rows) // 2]
-    return (
-        f" At {d['points_normals']:,} of the points near it, less those within half a cell of the "
-        f"surface or one of the medial axis ({left_out:.0f} % for the median object), the gradient "
-        f"is within {max(r[slope]['95'] for r in rows):.1g}° of central finite differences for "
-        f"95 % on every object, and {median(normal, '50'):.1f}° (median) and "
-        f"{median(normal, '95'):.1f}° (95 %) from trimesh's direction for the median object, "
-        f"{worst[normal]['95']:.1f}° (95 %) for the worst ({worst['object'].replace('_', ' ')}); "
-        f"its length is off 1 by {median(length, '50'):.3f} (median) and "
-        f"{median(length, '95'):.3f} (95 %), at worst {max(r[length]['95'] for r in rows):.3f} "
-        "(95 %)."
-    )
-
-
 def seeds(paths: Sequence[Path]) -> str:
     """Policies of several seeds, each from its file of an evaluation of the same states."""
     rows = []
     for path in paths:
-        d = _read(path)
+        d = read(path)
         policy = [r for r in d["rows"] if r["controller"] == "policy"] if d else []
         if policy:
             episodes = sum(r["episodes"] for r in policy)

@@ -66,11 +66,11 @@ def known_rows(config: AblationConfig) -> dict[str, dict[str, Any]]:
             made = stored["provenance"]
             asked = {"poses": config.poses, "seed": config.seed}
             found = {"poses": stored["poses"], "seed": made["seed"]}
-            if found != asked:
-                raise InputError(str(path), found, str(asked))
             new = stored["rows"] if "rows" in stored else {stored["preset"]: stored}
         except (OSError, ValueError, KeyError) as error:
             raise FileError(path, f"no results to keep ({error!r})", "those of a sweep") from None
+        if found != asked:
+            raise InputError(str(path), found, str(asked))
         for name, row in new.items():
             kept = {k: row[k] for k in _KEPT if k in row}
             rows[name] = kept | {"provenance": row.get("provenance", made)}

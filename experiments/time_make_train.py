@@ -82,6 +82,20 @@ def curve(path: Path) -> dict[str, float]:
     }
 
 
+def write(out: Path, run: Path, durations: dict[str, float]) -> None:
+    """The results file of a run and how long what took."""
+    results = json.loads((run / "results.json").read_text())
+    document = {
+        "schema": results["schema"],
+        "label": results["label"],
+        "make_train": durations | curve(run / "metrics.csv"),
+        "rows": results["rows"],
+        "provenance": results["provenance"] | {"command": command_line()},
+    }
+    with replacing(out) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
 def main(config: TimeConfig) -> None:
     """Clones, runs, and writes the results file."""
     if config.clone.exists():
@@ -90,20 +104,12 @@ def main(config: TimeConfig) -> None:
     timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
     setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
     train_s = timed(["make", "train"], config.clone)
-    test_s = timed(["make", "test"], config.clone) if config.tests else None
     (run,) = (config.clone / "runs").iterdir()
-    results = json.loads((run / "results.json").read_text())
     durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}
-    durations |= {"test_s": test_s} if test_s is not None else {}
-    document = {
-        "schema": results["schema"],
-        "label": results["label"],
-        "make_train": durations | curve(run / "metrics.csv"),
-        "rows": results["rows"],
-        "provenance": results["provenance"] | {"command": command_line()},
-    }
-    with replacing(config.out) as temporary:
-        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write(config.out, run, durations)
+    if config.tests:
+        durations["test_s"] = timed(["make", "test"], config.clone)
+        write(config.out, run, durations)
     print(f"{durations['total_s'] / 60:.1f} min; {run / 'report.html'}")
 
 

@@ -198,14 +198,19 @@ def _joints_above(model: mujoco.MjModel, bodies: list[int]) -> list[int]:
     return counts
 
 
+def _touching(model: mujoco.MjModel, body: int) -> list[int]:
+    """Shapes of a body that can touch something."""
+    first = int(model.body_geomadr[body])
+    geoms = range(first, first + int(model.body_geomnum[body]))
+    return [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+
+
 def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Segments and radius of a body's round shapes; a cylinder by the capsule that encloses it."""
     found = []
-    first = int(model.body_geomadr[body])
-    for geom in range(first, first + int(model.body_geomnum[body])):
+    for geom in _touching(model, body):
         kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-        touches_nothing = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
-        if kind == mujoco.mjtGeom.mjGEOM_BOX or touches_nothing:  # boxes: `_cover`
+        if kind == mujoco.mjtGeom.mjGEOM_BOX:  # see `_cover`
             continue
         if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
             half, radius = 0.0, size[0]
@@ -222,10 +227,8 @@ def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.nda
 def _cover(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Small spheres just inside the surface of a body's boxes, and its round shapes."""
     found = _capsules(model, body)
-    first = int(model.body_geomadr[body])
-    for geom in range(first, first + int(model.body_geomnum[body])):
-        touches_nothing = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
-        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX or touches_nothing:
+    for geom in _touching(model, body):
+        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
             continue
         size = model.geom_size[geom]
         radius = min(_BOX_SPHERE_RADIUS, float(size.min()))

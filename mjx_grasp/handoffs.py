@@ -39,6 +39,7 @@ def make_handoffs(
         FileError: An object's scan, the robot's description or the set to update cannot be read.
     """
     check_writable("--out", config.out)
+    made = provenance(config.seed)  # of the code as it is before the set changes a tracked file
     names = resolve(config.objects)
     sets, reports, earlier = [], [], None
     if config.update is not None:
@@ -74,7 +75,7 @@ def make_handoffs(
     merged.save(config.out)
     settings = json.loads(json.dumps(asdict(config), default=str))
     path = config.out.with_suffix(".json")
-    write_report(path, reports, provenance(config.seed), settings, earlier)
+    write_report(path, reports, made, settings, earlier)
     return merged, reports
 
 

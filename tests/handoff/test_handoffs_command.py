@@ -62,6 +62,19 @@ def test_an_update_warns_of_scans_among_stand_ins(run, tmp_path):
     assert "warning: the set's foam_brick are scans and the new objects stand-ins" in said
 
 
+def test_a_set_that_git_knows_does_not_make_its_own_revision_dirty(run, tmp_path, monkeypatch):
+    out = tmp_path / "set.npz"
+    before = module.provenance
+
+    def provenance(seed):
+        assert not out.exists()
+        return before(seed)
+
+    monkeypatch.setattr(module, "provenance", provenance)
+    run("--objects", "foam_brick", "--out", out)
+    assert out.exists()
+
+
 @pytest.mark.parametrize(
     ("kind", "field", "value"),
     [

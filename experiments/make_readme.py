@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import policy_tables
 import reach_tables
 import simulation_tables
 import stage_tables
@@ -94,12 +95,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "tables": _all_tables(results),
             "policy": _shipped_policy(root),
             "runs": _runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
-            "seeds": stage_tables.seeds(
-                [
-                    *sorted(folder.glob("eight_*.json")),
-                    *sorted((folder / "seeds").glob("*.json")),
-                ]
-            ),
+            "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
@@ -112,10 +108,11 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
             ),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
+            "tests": stage_tables.tests(folder / "tests_cpu.json"),
             "distances": reach_tables.signed_distances(folder / "signed_distance_scans.json"),
             "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
             "engines": simulation_tables.engines(folder / "engines_cpu.json"),
-            "files": _provenance(files).markdown() if files else NOTHING,
+            "files": _provenance(sorted(folder.rglob("*.json")), folder).markdown(),
         },
     }
 
@@ -157,10 +154,7 @@ def _main_results(paths: Sequence[Path]) -> str:
         return NOTHING
     condition, columns = next(iter(groups.items()))
     table = condition_table(condition, columns)
-    parts = [f"{table.title}:", table.markdown(), EXPLANATION]
-    if len(groups) > 1:
-        parts += ["All conditions, means over the objects:", summary_table(groups).markdown()]
-    return "\n\n".join(parts)
+    return "\n\n".join([f"{table.title}:", table.markdown(), EXPLANATION])
 
 
 def _all_tables(paths: Sequence[Path]) -> str:
@@ -168,6 +162,8 @@ def _all_tables(paths: Sequence[Path]) -> str:
     if not groups:
         return NOTHING
     parts = [EXPLANATION]
+    if len(groups) > 1:
+        parts += ["### All conditions, means over the objects", summary_table(groups).markdown()]
     for condition, columns in groups.items():
         success = condition_table(condition, columns)
         parts += [f"### {success.title}", success.markdown()]
@@ -243,15 +239,16 @@ def _shipped_policy(root: Path) -> str:
     )
 
 
-def _provenance(paths: Sequence[Path]) -> Table:
+def _provenance(paths: Sequence[Path], folder: Path) -> Table:
     rows = []
     for path in paths:
+        name = path.relative_to(folder).as_posix()
         made = json.loads(path.read_text()).get("provenance", {})
         versions = made.get("versions", {})
         shown = ", ".join(f"{n} {versions[n]}" for n in ("jax", "mujoco") if n in versions)
         rows.append(
             (
-                f"[{path.name}](results/{path.name})",
+                f"[{name}](results/{name})",
                 f"`{made.get('command', '')}`",
                 f"{made.get('git', '')[:12]}{'-dirty' * str(made.get('git')).endswith('-dirty')}",
                 str(made.get("device", "")),

@@ -1,4 +1,4 @@
-"""Tables for the READMEs: heatmap, steering, the first run, seeds.
+"""Tables for the READMEs: heatmap, steering, the first run.
 
 Each takes the path of one results file and gives Markdown; `make_readme.py` puts it in place.
 """
@@ -117,27 +117,27 @@ def first_run(path: Path) -> str:
         f"{m['return_first_tenth']:.0f} to {m['return_last_tenth']:.0f} and the share of lifted "
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
-        + (f" `make test` took {m['test_s'] / 60:.1f} min." if "test_s" in m else "")
     )
 
 
-def seeds(paths: Sequence[Path]) -> str:
-    """Policies of several seeds, each from its file of an evaluation of the same states."""
-    rows = []
-    for path in paths:
-        d = read(path)
-        policy = [r for r in d["rows"] if r["controller"] == "policy"] if d else []
-        if policy:
-            episodes = sum(r["episodes"] for r in policy)
-            rows.append(
-                (
-                    path.stem,
-                    policy[0]["engine"],
-                    str(len(policy)),
-                    str(episodes),
-                    f"{100 * sum(r['successes'] for r in policy) / episodes:.1f}",
-                    f"{sum(r['force_mean_n'] for r in policy) / len(policy):.1f}",
-                )
-            )
-    header = ("policy", "engine", "objects", "episodes", "success %", "force N")
-    return Table("Seeds", header, tuple(rows)).markdown() if rows else NOTHING
+def tests(path: Path) -> str:
+    """What `make test` said in a fresh clone, by Python and JAX."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = tuple(
+        (
+            r["provenance"]["versions"]["python"],
+            r["provenance"]["versions"]["jax"],
+            r["provenance"]["device"],
+            f"{r['passed']:,}",
+            str(len(r["failed"])),
+            str(len(r["skipped"])),
+            f"{r['test_s'] / 60:.1f}",
+            f"{r['setup_s'] / 60:.1f}",
+            r["provenance"]["git"][:12],
+        )
+        for r in d["rows"]
+    )
+    header = ("Python", "JAX", "device", "passed", "failed", "skipped", "tests min", "setup min")
+    return Table("Tests", (*header, "git"), rows, names=3).markdown()

@@ -1,10 +1,9 @@
-"""Times `make train` and `make test` from a fresh clone: a newcomer's first half hour.
+"""Times `make train` from a fresh clone: a newcomer's first minutes.
 
   python experiments/time_make_train.py --clone /tmp/fresh
 
-clones this repository's last commit, runs `make setup`, `make train` and, with `--tests`,
-`make test` there, and writes how long they took, how far the return rose and what the evaluation
-found to
+clones this repository's last commit, runs `make setup` and `make train` there, and writes how long
+they took, how far the return rose and what the evaluation found to
 `experiments/results/make_train_cpu.json`. The clone stays, with the run's report in it.
 Nothing else should run meanwhile.
 """
@@ -35,8 +34,6 @@ class TimeConfig:
 
     clone: Path
     """Folder to make; it must not be there."""
-    tests: bool = False
-    """Run and time `make test` as well."""
     python: str = "python3"
     """The Python that `make` is given."""
     out: Path = ROOT / "experiments" / "results" / "make_train_cpu.json"
@@ -107,9 +104,6 @@ def main(config: TimeConfig) -> None:
     (run,) = (config.clone / "runs").iterdir()
     durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}
     write(config.out, run, durations)
-    if config.tests:
-        durations["test_s"] = timed(["make", "test"], config.clone)
-        write(config.out, run, durations)
     print(f"{durations['total_s'] / 60:.1f} min; {run / 'report.html'}")
 
 

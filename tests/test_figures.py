@@ -130,3 +130,34 @@ def test_the_ablation_goes_on_where_it_stopped(tmp_path, monkeypatch):
         ablation.main(replace(config, seed=5, resume=True))
     with pytest.raises(FileError, match=r"nothing\.json"):
         ablation.main(replace(config, sweeps=(tmp_path / "nothing.json",)))
+
+
+def test_a_suite_that_failed_keeps_its_row_too(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    timing = script("time_tests")
+    report, out = tmp_path / "tests.xml", tmp_path / "tests.json"
+    report.write_text(
+        "<testsuites><testsuite>"
+        "<testcase classname='tests.a' name='passes'/>"
+        "<testcase classname='tests.a' name='fails'><failure>no</failure></testcase>"
+        "<testcase classname='tests.b' name='breaks'><error>oh</error></testcase>"
+        "<testcase classname='tests.b' name='waits'><skipped/></testcase>"
+        "</testsuite></testsuites>"
+    )
+    found = timing.counts(report)
+    assert found == {"passed": 1, "failed": ["tests.a.fails", "tests.b.breaks"]} | {
+        "skipped": ["tests.b.waits"]
+    }
+    made = {"device": "a card", "git": "0123456789abcdef", "versions": {}}
+
+    def row(python, seconds):
+        versions = {"versions": {"python": python, "jax": "1.0"}}
+        return found | {"setup_s": 60.0, "test_s": seconds, "provenance": made | versions}
+
+    for python, seconds in (("3.12.1", 90.0), ("3.11.7", 600.0), ("3.12.1", 630.0)):
+        timing.write(out, row(python, seconds))
+    assert [r["test_s"] for r in json.loads(out.read_text())["rows"]] == [600.0, 630.0]
+    table = script("stage_tables").tests(out)
+    assert "| 3.12.1 | 1.0 | a card | 1 | 2 | 1 | 10.5 | 1.0 | 0123456789ab |" in table
+    with pytest.raises(FileError, match=r"none\.xml"):
+        timing.counts(tmp_path / "none.xml")

@@ -91,7 +91,8 @@ class ThroughputRow:
     control_steps_per_s: float
     """Control ticks of all worlds together per second [1/s]."""
     memory_gib: float | None
-    """Peak device memory [GiB]; None where it cannot be measured."""
+    """Peak of what JAX held on the device [GiB], without the CUDA context and Warp's modules; None
+    where it cannot be measured."""
 
     def __post_init__(self):
         for name in ("worlds", "objects", "control_steps_per_s"):

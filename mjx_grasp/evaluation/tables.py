@@ -43,6 +43,14 @@ class Condition(NamedTuple):
             f"{self.meshes and ', '}{self.meshes}"
         )
 
+    def short(self) -> str:
+        """Engine, error and friction alone."""
+        turned = f", {self.angle_deg:g}°" if self.angle_deg else ""
+        return (
+            f"{_ENGINES.get(self.engine, self.engine)}, ±{self.offset_mm:g} mm{turned}, "
+            f"friction {self.friction:g}"
+        )
+
 
 class Column(NamedTuple):
     """One controller under a condition."""
@@ -205,7 +213,7 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
                     "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
                 )
             )
-    header = ("device", "loop", "objects", "worlds", "control steps/s", "device memory GiB")
+    header = ("device", "loop", "objects", "worlds", "control steps/s", "JAX's memory GiB")
     return Table("Speed and memory", header, tuple(rows), names=2)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -192,14 +193,20 @@ def scaled_back(
 
     now = stacked(list(near.values()))
     still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
-    moved, safe = after(x)
-    least = jnp.minimum(still, safe + _ROOM * limits.margin)
-    share = (still - least) / jnp.maximum(still - moved, _TINY)
-    x = jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
+
     # Distances are not linear in the joints: what is left of the command has to show that it holds.
-    moved, _ = after(x)
-    holds = (moved >= jnp.minimum(still, safe)) | (still <= 0)
-    return jnp.where(jnp.all(holds), x, 0.0)
+    def shortened(_, state):
+        x, _, _ = state
+        moved, safe = after(x)
+        least = jnp.minimum(still, safe + _ROOM * limits.margin)
+        share = (still - least) / jnp.maximum(still - moved, _TINY)
+        shorter = jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
+        holds = (moved >= jnp.minimum(still, safe)) | (still <= 0)
+        return shorter, x, jnp.all(holds)
+
+    # A loop, so that the distances are compiled once.
+    _, checked, holds = jax.lax.fori_loop(0, 2, shortened, (x, x, jnp.array(False)))
+    return jnp.where(holds, checked, 0.0)
 
 
 def table_clearances(body: ReachBody, config: ReachConfig) -> list[float]:

@@ -63,6 +63,18 @@ class IkSolution(NamedTuple):
     at_limit: Array
 
 
+class _Evaluation(NamedTuple):
+    """A configuration and what its errors are."""
+
+    q: Float[Array, " joints"]
+    cost: Float[Array, ""]
+    gradient: Float[Array, " joints"]
+    rows: Float[Array, "n joints"]  # the Jacobian, without the posture's diagonal
+    error: Float[Array, " 3"]
+    missing: Float[Array, ""]
+    distance: Float[Array, ""]  # the least of all
+
+
 def solve_ik(
     body: ReachBody,
     config: ReachConfig,
@@ -93,65 +105,63 @@ def solve_ik(
     busy = body.arm | body.grasping
     w_posture = jnp.where(jnp.asarray(busy), ik.posture_weight, ik.idle_weight)
 
-    def errors(q):
+    def evaluated(q) -> _Evaluation:
         motion = body.kinematics.motion(q)
         slope, bound, near = half_spaces(body, motion, around, _unbounded(config))
         missing = jnp.maximum(bound * horizon, 0.0)
         tips, normals = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
-        parts = (
+        turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
+        swing = jnp.cross(turning, normals[:, :, None], axisa=1, axisb=1, axisc=1)
+        residual = (
             (tips - goals).reshape(-1),
             ik.orientation_weight * (normals - pads).reshape(-1),
             ik.clearance_weight * missing,
-            w_posture * (q - reference),
         )
-        return jnp.concatenate(parts), (motion, slope, missing, near)
-
-    def jacobian(found):
-        motion, slope, missing, _ = found
-        tips, normals = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
-        linear = point_jacobians(body, motion, np.arange(FINGERS), tips)
-        turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
-        swing = jnp.cross(turning, normals[:, :, None], axisa=1, axisb=1, axisc=1)
-        return jnp.concatenate(
-            [
-                linear.reshape(3 * FINGERS, -1),
-                ik.orientation_weight * swing.reshape(3 * FINGERS, -1),
-                jnp.where(missing[:, None] > 0, -ik.clearance_weight * slope, 0.0),
-            ]
+        rows = (
+            point_jacobians(body, motion, np.arange(FINGERS), tips).reshape(3 * FINGERS, -1),
+            ik.orientation_weight * swing.reshape(3 * FINGERS, -1),
+            jnp.where(missing[:, None] > 0, -ik.clearance_weight * slope, 0.0),
+        )
+        posture, errors = w_posture * (q - reference), jnp.concatenate(residual)
+        return _Evaluation(
+            q=q,
+            cost=jnp.sum(errors**2) + jnp.sum(posture**2),
+            gradient=jnp.concatenate(rows).T @ errors + w_posture * posture,
+            rows=jnp.concatenate(rows),
+            error=norm(tips - goals),
+            missing=jnp.max(missing),
+            distance=jnp.min(jnp.concatenate([part.distance for part in near.values()])),
         )
 
-    def step(_, state):
-        q, cost, damping = state
-        residual, found = errors(q)
-        rows = jacobian(found)
-        top = len(rows)
-        gradient = rows.T @ residual[:top] + w_posture * residual[top:]
-        stuck = ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
+    def next_trial(at: _Evaluation, damping):
+        stuck = (at.q <= lower) & (at.gradient > 0) | (at.q >= upper) & (at.gradient < 0)
         free = jnp.where(stuck, 0.0, 1.0)
-        rows = rows * free
+        rows = at.rows * free
         hessian = rows.T @ rows + jnp.diag(w_posture**2)
         hessian = hessian + damping * jnp.diag(jnp.diag(hessian) + _DAMPING_FLOOR)
-        trial = jnp.clip(q - cho_solve(cho_factor(hessian), gradient * free), lower, upper)
-        trial_cost = jnp.sum(errors(trial)[0] ** 2)
-        better = trial_cost < cost
-        factor = jnp.where(better, _DAMPING_FALL, _DAMPING_RISE)
-        return (
-            jnp.where(better, trial, q),
-            jnp.where(better, trial_cost, cost),
-            jnp.clip(damping * factor, *_DAMPING_RANGE),
-        )
+        return jnp.clip(at.q - cho_solve(cho_factor(hessian), at.gradient * free), lower, upper)
 
-    q = jnp.clip(start, lower, upper)
-    state = (q, jnp.sum(errors(q)[0] ** 2), jnp.float32(_DAMPING_START))
-    q, _, _ = jax.lax.fori_loop(0, ik.iterations, step, state)
-    _, (motion, _, missing, near) = errors(q)
-    distances = jnp.concatenate([part.distance for part in near.values()])
+    def step(_, state):
+        best, damping, trial = state
+        new = evaluated(trial)
+        better = new.cost < best.cost
+        best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, best)
+        factor = jnp.where(better, _DAMPING_FALL, _DAMPING_RISE)
+        damping = jnp.clip(damping * factor, *_DAMPING_RANGE)
+        return best, damping, next_trial(best, damping)
+
+    # The start is the first trial: distances, which are most of the work and of what has to be
+    # compiled, are evaluated in one place and once a step.
+    start = jnp.clip(start, lower, upper)
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(evaluated, start))
+    state = nothing._replace(cost=jnp.inf), jnp.float32(_DAMPING_START / _DAMPING_FALL), start
+    best, _, _ = jax.lax.fori_loop(0, ik.iterations + 1, step, state)
     return IkSolution(
-        q=q,
-        error=norm(motion.pos[:FINGERS] - goals),
-        missing=jnp.max(missing),
-        penetration=jnp.maximum(-jnp.min(distances), 0.0),
-        at_limit=jnp.any((q <= lower) | (q >= upper)),
+        q=best.q,
+        error=best.error,
+        missing=best.missing,
+        penetration=jnp.maximum(-best.distance, 0.0),
+        at_limit=jnp.any((best.q <= lower) | (best.q >= upper)),
     )
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
@@ -27,6 +30,8 @@ _CURVES = (  # column, title, factor
     ("steps_per_s", "environment steps per second", 1.0),
 )
 _BLUE, _ORANGE, _GREY = "#2563a8", "#c8641e", "#5b6470"
+_MARKERS = (("o", _BLUE), ("D", "#2e8b57"), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
+_BELOW = (8.0, -12.0)
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
 
@@ -86,35 +91,106 @@ def success_against_force(columns: Sequence[Column]) -> bytes:
     Raises:
         InputError: No controller has a force.
     """
-    points = [p for p in map(_point, columns) if p is not None]
-    if not points:
-        raise InputError("columns", [c.label for c in columns], "a controller with a force")
+    points = _points(columns)
     figure = _figure(6.0, 4.0)
     ax = figure.subplots()
-    _style(ax)
-    squeezes = sorted(p for p in points if p[4])
-    ax.plot([p[0] for p in squeezes], [p[1] for p in squeezes], color=_ORANGE, alpha=0.5)
-    for force, mean, (low, high), label, is_squeeze in points:
-        colour = _ORANGE if is_squeeze else _BLUE
-        ax.errorbar(
-            force, mean, yerr=[[mean - low], [high - mean]], fmt="s" if is_squeeze else "o",
-            color=colour, capsize=3, markersize=7 if is_squeeze else 9,
-        )  # fmt: skip
-        ax.annotate(label, (force, mean), xytext=(8, -12), textcoords="offset points", color=colour)
-    ax.set_xlim(0, 1.25 * max(p[0] for p in points))
-    ax.set_ylim(0, 103)
-    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=_GREY)
+    _front(ax, points, _BELOW)
+    for point in points:
+        if not point.is_squeeze:
+            _dot(ax, point, "o", _BLUE)
+            _name(ax, point, _BLUE, _BELOW)
     ax.set_title("mean success over the objects [%]", loc="left", fontsize=10, color=_GREY)
     return _png(figure)
 
 
-def _point(column: Column) -> tuple[float, float, tuple[float, float], str, bool] | None:
-    rows: list[ResultRow] = list(column.rows.values())
-    force, _ = column.forces()
-    if force is None:
-        return None
-    mean, interval = mean_success(rows)
-    return force, mean, interval, column.label, rows[0].squeeze_force_n is not None
+def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -> bytes:
+    """`success_against_force` for several conditions side by side, as PNG.
+
+    Policies of one label share a marker and a line in the legend.
+
+    Args:
+        panels: Controllers by the condition's words.
+
+    Raises:
+        InputError: No panel, or one in which no controller has a force.
+    """
+    if not panels:
+        raise InputError("panels", "none", "one condition or more")
+    points = {title: _points(columns) for title, columns in panels.items()}
+    labels = sorted({p.label for part in points.values() for p in part if not p.is_squeeze})
+    looks = dict(zip(labels, itertools.cycle(_MARKERS)))
+    figure = _figure(4.2 * len(panels), 4.2)
+    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    shown = {}
+    for ax, (title, part) in zip(grid, points.items(), strict=True):
+        _front(ax, [p._replace(label=p.label.removeprefix("squeeze ")) for p in part], (-26, 4))
+        for point in part:
+            if not point.is_squeeze:
+                shown[point.label] = _dot(ax, point, *looks[point.label])
+        ax.set_title(title, loc="left", fontsize=10, color=_GREY)
+    grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
+    grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=_GREY)
+    figure.legend(
+        handles=[grid[0].lines[0], *(shown[label] for label in labels)],
+        labels=["squeeze, by the force commanded", *(f"policy, {label}" for label in labels)],
+        loc="outside lower center", ncols=4, frameon=False, fontsize=8,
+    )  # fmt: skip
+    return _png(figure)
+
+
+class _Point(NamedTuple):
+    force: float
+    mean: float
+    interval: tuple[float, float]
+    label: str
+    is_squeeze: bool
+
+
+def _points(columns: Sequence[Column]) -> list[_Point]:
+    """The controllers that have a force.
+
+    Raises:
+        InputError: There is none.
+    """
+    points = []
+    for column in columns:
+        rows: list[ResultRow] = list(column.rows.values())
+        force, _ = column.forces()
+        if force is not None:
+            is_squeeze = rows[0].squeeze_force_n is not None
+            points.append(_Point(force, *mean_success(rows), column.label, is_squeeze))
+    if not points:
+        raise InputError("columns", [c.label for c in columns], "a controller with a force")
+    return points
+
+
+def _front(ax: Axes, points: Sequence[_Point], at: tuple[float, float]) -> None:
+    """The squeezes, joined, with their names so far off them, and the axes."""
+    _style(ax)
+    squeezes = sorted(p for p in points if p.is_squeeze)
+    ax.plot([p.force for p in squeezes], [p.mean for p in squeezes], color=_ORANGE, alpha=0.5)
+    for point in squeezes:
+        _dot(ax, point, "s", _ORANGE)
+        _name(ax, point, _ORANGE, at)
+    ax.set_xlim(0, 1.25 * max(p.force for p in points))
+    ax.set_ylim(0, 103)
+    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=_GREY)
+
+
+def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer:
+    low, high = point.interval
+    return ax.errorbar(
+        point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
+        color=colour, capsize=3, markersize=7,
+    )  # fmt: skip
+
+
+def _name(ax: Axes, point: _Point, colour: str, at: tuple[float, float]) -> None:
+    """Writes the point's name, so many points of print to its right and above it."""
+    ax.annotate(
+        point.label, (point.force, point.mean), xytext=at, textcoords="offset points",
+        color=colour, fontsize=9,
+    )  # fmt: skip
 
 
 def _smooth(values: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:

@@ -8,7 +8,12 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import Column
-from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+from mjx_grasp.viz.plots import (
+    read_metrics,
+    success_against_force,
+    success_against_force_by_condition,
+    training_curves,
+)
 
 BLUE, ORANGE = (37, 99, 168), (200, 100, 30)
 
@@ -82,3 +87,21 @@ def test_controllers_without_a_force_are_left_out():
     assert with_one == success_against_force([column("p", 60, 2.0)])
     with pytest.raises(InputError, match="force"):
         success_against_force([column("q", 0, None)])
+
+
+def test_conditions_stand_side_by_side_and_policies_share_their_label():
+    front = [column("squeeze 3 N", 20, 1.0, 3.0), column("squeeze 8 N", 62, 4.0, 8.0)]
+    policies = [column("few worlds", 60, 2.0), column("many worlds", 50, 3.0)]
+    one = {"easy": [*front, *policies]}
+    two = one | {"hard": [*front, column("many worlds", 40, 3.0)]}
+    first, both = (pixels(success_against_force_by_condition(p)) for p in (one, two))
+    assert both.shape[0] == first.shape[0] and both.shape[1] == pytest.approx(
+        2 * first.shape[1], rel=0.01
+    )
+    half = both.shape[1] // 2
+    right = both[: int(0.85 * len(both)), half:]  # without the legend
+    green = (46, 139, 87)
+    assert of_colour(both, BLUE).any() and not of_colour(right, BLUE).any()
+    assert of_colour(right, green).any() and of_colour(right, ORANGE).any()
+    with pytest.raises(InputError, match="panels"):
+        success_against_force_by_condition({})

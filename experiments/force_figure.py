@@ -1,0 +1,62 @@
+"""Draws success against the contact force that it took: trained policies and the squeeze.
+
+  python experiments/force_figure.py
+
+reads the evaluations of the eight objects in native MuJoCo and draws `docs/success_force.png`, one
+panel per condition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from policy_tables import evaluated_policies, squeezes_by_condition
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.atomic import check_writable, replacing
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.tables import Column
+from mjx_grasp.viz.plots import success_against_force_by_condition
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class FigureConfig:
+    """What to draw, and where to."""
+
+    results: Path = ROOT / "experiments" / "results"
+    """Folder of the results files."""
+    engine: str = "mujoco"
+    """Engine of the evaluations."""
+    out: Path = ROOT / "docs" / "success_force.png"
+
+
+def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
+    """The controllers of every condition; policies are named by how they were trained.
+
+    Raises:
+        FileError: There is no evaluation in that engine.
+    """
+    found = {c: part for c, part in squeezes_by_condition(folder).items() if c.engine == engine}
+    if not found:
+        raise FileError(folder, f"no eight_*.json of {engine}", "evaluations of the eight objects")
+    for policy in evaluated_policies(folder, asset_path("policy.npz")):
+        if policy.condition in found:
+            found[policy.condition].append(policy.column._replace(label=policy.setting))
+    return {c.short(): columns for c, columns in found.items()}
+
+
+def main(config: FigureConfig) -> None:
+    """The command."""
+    check_writable("--out", config.out)
+    picture = success_against_force_by_condition(panels(config.results, config.engine))
+    with replacing(config.out) as temporary:
+        temporary.write_bytes(picture)
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(FigureConfig, description=__doc__)))

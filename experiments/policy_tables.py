@@ -1,0 +1,133 @@
+"""Trained policies side by side, for the READMEs and the figure of success against force.
+
+A file of results says in its command which run's policy it evaluated; the table of the runs says
+how that one was trained.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from stage_tables import NOTHING
+
+from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.layout import Table
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
+from mjx_grasp.learning.policy import load_policy
+
+
+class Evaluated(NamedTuple):
+    """One policy under one condition, and how it was trained."""
+
+    run: str
+    setting: str
+    """Worlds × unroll and the number of steps, in words."""
+    seed: int
+    condition: Condition
+    column: Column
+
+
+def comparisons(folder: Path) -> list[Path]:
+    """The results files that have policy and squeeze from the same states."""
+    return sorted(folder.glob("eight_*.json"))
+
+
+def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
+    """The evaluated policies whose training is in the table of runs, in that table's order.
+
+    Args:
+        folder: The results files; those of single policies are in its `seeds`.
+        shipped: The policy that an evaluation takes if its command names none.
+
+    Raises:
+        FileError: A file cannot be read.
+    """
+    table = folder / "training_runs.json"
+    trained = {r["run"]: r for r in json.loads(table.read_text())["rows"]} if table.exists() else {}
+    found = []
+    for path in (*comparisons(folder), *sorted((folder / "seeds").glob("*.json"))):
+        own = [
+            (condition, column)
+            for condition, columns in read_groups([path]).items()
+            for column in columns
+            if column.label == "policy"
+        ]
+        if own and (run := _run_of(path, shipped)) in trained:
+            row = trained[run]
+            found += [Evaluated(run, _setting(row), row["seed"], *part) for part in own]
+    runs = list(trained)
+
+    def order(policy: Evaluated) -> tuple[int, bool, float, float]:
+        c = policy.condition
+        return runs.index(policy.run), c.engine != "mujoco", -c.friction, c.offset_mm
+
+    return sorted(found, key=order)
+
+
+def squeezes_by_condition(folder: Path) -> Groups:
+    """The squeezes that the policies are compared with."""
+    return {
+        condition: [c for c in columns if c.label != "policy"]
+        for condition, columns in read_groups(comparisons(folder)).items()
+    }
+
+
+def squeeze_at(force: float, squeezes: Sequence[Column]) -> str:
+    """Mean success of a squeeze with so much contact force [%], on straight lines between those.
+
+    Beyond the hardest it says from where on; empty below the lightest.
+    """
+    points = sorted((c.forces()[0] or 0.0, c.mean()[0]) for c in squeezes)
+    if not points or force < points[0][0]:
+        return ""
+    hardest, most = points[-1]
+    if force > hardest:
+        return f"{most:.1f} at {hardest:.1f} N"
+    return f"{np.interp(force, *zip(*points, strict=True)):.1f}"
+
+
+def policies(folder: Path, shipped: Path) -> str:
+    """One line per policy and condition, beside the squeeze of the same contact force."""
+    squeezes = squeezes_by_condition(folder)
+    lines = []
+    for run, setting, seed, condition, column in evaluated_policies(folder, shipped):
+        force, _ = column.forces()
+        mean, (low, high) = column.mean()
+        lines.append(
+            (
+                run,
+                setting,
+                str(seed),
+                condition.short(),
+                str(sum(r.episodes for r in column.rows.values())),
+                f"{mean:.1f} ({low:.0f}–{high:.0f})",
+                "" if force is None else f"{force:.1f}",
+                "" if force is None else squeeze_at(force, squeezes.get(condition, ())),
+            )
+        )
+    header = (
+        *("run", "worlds × unroll", "seed", "condition", "episodes"),
+        *("success %", "force N", "squeeze at this force %"),
+    )
+    return Table("Policies", header, tuple(lines), names=4).markdown() if lines else NOTHING
+
+
+def _setting(run: dict[str, Any]) -> str:
+    return f"{run['worlds']:,} × {run['unroll']}, {run['env_steps'] / 1e6:.0f} M steps"
+
+
+def _run_of(path: Path, shipped: Path) -> str:
+    """The name of the run whose policy a results file is about."""
+    words = shlex.split(str(read_results(path).provenance["command"]))
+    if "--policy" in words:
+        return Path(words[words.index("--policy") + 1]).parent.name
+    made = shlex.split(str(load_policy(shipped).meta["provenance"]["command"]))
+    if "--out" not in made:
+        raise FileError(shipped, "a command without --out", "the run that made the policy")
+    return Path(made[made.index("--out") + 1]).name

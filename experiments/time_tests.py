@@ -23,13 +23,10 @@ from time_make_train import ROOT, timed
 from mjx_grasp.atomic import check_writable, write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.provenance import provenance
+from mjx_grasp.provenance import command_line
 
 SCHEMA = "mjx_grasp.tests/1"
-_VERSIONS = (
-    "import json, mjx_grasp.provenance as p, platform;"
-    "print(json.dumps({'python': platform.python_version()} | p.versions()))"
-)
+_PROVENANCE = "import json, mjx_grasp.provenance as p; print(json.dumps(p.provenance(0)))"
 
 
 @dataclass(frozen=True)
@@ -82,17 +79,21 @@ def main(config: TimeConfig) -> None:
     check_writable("--out", config.out)
     timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
     setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
-    report = config.clone.resolve() / "tests.xml"
+    report = config.clone.resolve() / ".cache" / "tests.xml"
     command = ["make", "test", f"PYTHON={config.python}", f"ARGS=--junitxml={report}"]
     began = time.perf_counter()
     code = subprocess.run(command, cwd=config.clone, check=False).returncode
     test_s = time.perf_counter() - began
-    found = subprocess.run(
-        [config.clone / ".venv" / "bin" / "python", "-c", _VERSIONS],
+    made = subprocess.run(
+        [config.clone.resolve() / ".venv" / "bin" / "python", "-c", _PROVENANCE],
         cwd=config.clone, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    made = provenance(0) | {"versions": json.loads(found.stdout)}
-    row = {"setup_s": setup_s, "test_s": test_s, **counts(report), "provenance": made}
+    row = {
+        "setup_s": setup_s,
+        "test_s": test_s,
+        **counts(report),
+        "provenance": json.loads(made.stdout) | {"command": command_line()},
+    }
     write(config.out, row)
     print(f"{row['passed']} passed, {len(row['failed'])} failed in {test_s / 60:.1f} min")
     if code != 0:

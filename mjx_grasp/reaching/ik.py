@@ -153,8 +153,10 @@ def solve_ik(
     # The start is the first trial: distances, which are most of the work and of what has to be
     # compiled, are evaluated in one place and once a step.
     start = jnp.clip(start, lower, upper)
-    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(evaluated, start))
-    state = nothing._replace(cost=jnp.inf), jnp.float32(_DAMPING_START / _DAMPING_FALL), start
+    unsolved = jax.tree.map(
+        lambda a: jnp.full(a.shape, jnp.inf, a.dtype), jax.eval_shape(evaluated, start)
+    )
+    state = unsolved._replace(q=start), jnp.float32(_DAMPING_START / _DAMPING_FALL), start
     best, _, _ = jax.lax.fori_loop(0, ik.iterations + 1, step, state)
     return IkSolution(
         q=best.q,

@@ -31,8 +31,12 @@ def planned(body):
     reacher = Reacher(body, settings.reach, settings.selection)
     plan = replace(settings.plan, library=8000, near=256, starts=16)
     poses = draw_poses(COUNT, seed=21)
-    found = plan_all(reacher, plan, start_library(body, plan), poses, COUNT)
-    return reacher, plan, poses, found
+    library = start_library(body, plan)
+
+    def search(poses):
+        return plan_all(reacher, plan, library, poses, COUNT)
+
+    return reacher, plan, poses, search(poses), search
 
 
 def _world(poses, k):
@@ -41,7 +45,7 @@ def _world(poses, k):
 
 
 def test_plans_put_the_tips_at_their_standoffs_clear_of_everything(planned):
-    reacher, plan, poses, found = planned
+    reacher, plan, poses, found, _ = planned
     body, config = reacher.body, reacher.config
 
     @jax.jit
@@ -70,8 +74,21 @@ def test_plans_put_the_tips_at_their_standoffs_clear_of_everything(planned):
     assert np.all(found.least_error < 0.02)
 
 
+def test_an_object_that_is_nowhere_gets_no_plan_and_leaves_the_others_theirs(planned):
+    _, _, poses, found, search = planned
+    lost = poses.p_wo.copy()
+    lost[2] = np.nan
+    without = search(poses._replace(p_wo=lost))
+    assert not np.any(without.plans.guide.known[2]) and without.least_error[2] == np.inf
+    others = np.arange(COUNT) != 2
+    np.testing.assert_array_equal(
+        without.plans.guide.known[others], found.plans.guide.known[others]
+    )
+    np.testing.assert_array_equal(without.plans.guide.q[others], found.plans.guide.q[others])
+
+
 def test_plans_are_free_of_self_collisions_by_mujoco(planned):
-    reacher, _, _, found = planned
+    reacher, _, _, found, _ = planned
     checker = CollisionChecker(build_scene([handmade.ball()], reacher.body.robot))
     away, upright = np.array([10.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
     reasons = [checker.reason(q, away, upright) for q in found.plans.guide.q[:, 0, 0]]
@@ -79,7 +96,7 @@ def test_plans_are_free_of_self_collisions_by_mujoco(planned):
 
 
 def test_plans_of_one_pose_differ(planned):
-    _, plan, _, found = planned
+    _, plan, _, found, _ = planned
     guide = found.plans.guide
     for k in range(COUNT):
         first, second = (
@@ -91,7 +108,7 @@ def test_plans_of_one_pose_differ(planned):
 
 
 def _guide(planned, k=0):
-    reacher, _, poses, found = planned
+    reacher, _, poses, found, _ = planned
     guide = jax.tree.map(lambda leaf: jnp.asarray(leaf[k, 0]), found.plans.guide)
     return reacher, guide, jnp.asarray(poses.p_wo[k]), jnp.asarray(poses.R_wo[k])
 

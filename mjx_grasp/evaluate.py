@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -32,7 +32,7 @@ from mjx_grasp.evaluation.trials import (
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.provenance import provenance
+from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
 
 
@@ -217,18 +217,25 @@ def main(config: EvaluateConfig) -> None:
     """The command."""
     console = Console(stderr=True)
     check_writable("--out", config.out)
-    policy = None
-    if config.controller == "policy":
-        policy = load_policy(config.policy or asset_path("policy.npz"))
-    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
+    handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+    file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
+    policy = None if file is None else load_policy(file)
+    stored = load_handoffs(handoffs)
     names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     world = build_world(scene, states, ClosingConfig())
     rows, trials = evaluate(world, names, config, policy, stored.kind, console)
-    counted = incidents(trials.values())
-    write_results(config.out, rows, provenance(config.seed), not_eligible=without, **counted)
+    write_results(
+        config.out,
+        rows,
+        provenance(config.seed),
+        not_eligible=without,
+        settings=asdict(config),
+        sha256=file_digests(policy=file, handoffs=handoffs),
+        **incidents(trials.values()),
+    )
     Console().print(success_table(rows))
     console.print(f"written: {config.out}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -100,6 +101,9 @@ def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
     assert results.provenance["seed"] == 5
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     assert results.provenance["command"].startswith("python -m mjx_grasp.evaluate --controller")
+    assert results.extra["settings"]["states"] == "all"
+    handoffs = hashlib.sha256((trained / "handoffs.npz").read_bytes()).hexdigest()
+    assert results.extra["sha256"] == {"handoffs": handoffs}
 
 
 def test_evaluate_refuses_before_anything_long(trained, tmp_path, monkeypatch, capsys):

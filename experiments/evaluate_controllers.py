@@ -16,6 +16,7 @@ import tyro
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.atomic import as_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
@@ -71,7 +72,7 @@ def main(config: ComparisonConfig) -> None:
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     policy, stored = load_policy(file), load_handoffs(handoffs)
     made_of = {
-        "settings": asdict(config),
+        "settings": as_json(asdict(config)),
         "sha256": file_digests(policy=file, handoffs=handoffs),
     }
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())

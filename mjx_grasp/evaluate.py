@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.atomic import check_writable
+from mjx_grasp.atomic import as_json, check_writable
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world
 from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M, ClosingConfig, StartNoise
@@ -232,7 +232,7 @@ def main(config: EvaluateConfig) -> None:
         rows,
         provenance(config.seed),
         not_eligible=without,
-        settings=asdict(config),
+        settings=as_json(asdict(config)),
         sha256=file_digests(policy=file, handoffs=handoffs),
         **incidents(trials.values()),
     )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 
 import tyro
 from rich.console import Console
 
-from mjx_grasp.atomic import check_writable
+from mjx_grasp.atomic import as_json, check_writable
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig
@@ -73,7 +72,7 @@ def make_handoffs(
             f"{config.max_rounds} round(s), more --max-rounds may find some",
         )
     merged.save(config.out)
-    settings = json.loads(json.dumps(asdict(config), default=str))
+    settings = as_json(asdict(config))
     path = config.out.with_suffix(".json")
     write_report(path, reports, made, settings, earlier)
     return merged, reports

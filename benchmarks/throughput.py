@@ -106,8 +106,10 @@ def plain_warp(
     for name, rows in physics.world_fields(params).items():
         field = getattr(m, name)
         setattr(m, name, wp.array(np.asarray(rows), dtype=field.dtype))
-    for name in ("qpos", "qvel", "ctrl", "qacc_warmstart"):
-        wp.copy(getattr(d, name), wp.array(np.asarray(getattr(state, name)), dtype=float))
+    begin = {
+        name: wp.array(np.asarray(getattr(state, name)), dtype=float)
+        for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")
+    }
 
     def tick() -> None:
         for _ in range(physics.substeps):
@@ -122,6 +124,8 @@ def plain_warp(
         replay = tick
 
     def run() -> None:
+        for name, rows in begin.items():
+            wp.copy(getattr(d, name), rows)
         for _ in range(ticks):
             replay()
         wp.synchronize()

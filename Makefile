@@ -11,7 +11,7 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed-$(subst $(comma),-,$(EXTRAS))
 SOURCES := mjx_grasp tests experiments benchmarks
 
-.PHONY: help setup train test test-long lint format readme clean
+.PHONY: help setup train test test-long lint format readme revision clean
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make test       set up and run the tests; make test-long runs those that take minutes"
 	@echo "make setup      make the environment in .venv (EXTRAS=$(EXTRAS), PYTHON=$(PYTHON))"
 	@echo "make lint       style and types"
+	@echo "make revision   write the revision down, for a copy without .git"
 	@echo "make readme     put the numbers of experiments/results into the READMEs"
 
 setup: $(INSTALLED)
@@ -52,6 +53,10 @@ format: setup
 
 readme: setup
 	$(BIN)/python experiments/make_readme.py
+
+# The revision for a copy without .git, where results say it (mjx_grasp/provenance.py).
+revision:
+	git describe --always --dirty --abbrev=40 --exclude '*' > REVISION
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

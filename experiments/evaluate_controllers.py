@@ -8,7 +8,7 @@ is the reference; `--engine mjx` gives the training engine's figures for the com
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +28,7 @@ from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.provenance import provenance
+from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
 
 CONDITIONS = {
@@ -69,8 +69,13 @@ class ComparisonConfig:
 def main(config: ComparisonConfig) -> None:
     """Runs the comparison."""
     console = Console(stderr=True)
-    policy = load_policy(config.policy or asset_path("policy.npz"))
-    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
+    file = config.policy or asset_path("policy.npz")
+    handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+    policy, stored = load_policy(file), load_handoffs(handoffs)
+    made_of = {
+        "settings": asdict(config),
+        "sha256": file_digests(policy=file, handoffs=handoffs),
+    }
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if not names:
@@ -99,7 +104,7 @@ def main(config: ComparisonConfig) -> None:
                 counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
             made = provenance(config.seed)
-            write_results(config.out, rows, made, not_eligible=without, **counted)
+            write_results(config.out, rows, made, not_eligible=without, **made_of, **counted)
         Console().print(success_table(rows[-len(names) * (1 + len(config.squeeze_forces)) :]))
 
 

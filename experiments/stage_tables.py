@@ -117,6 +117,24 @@ def first_run(path: Path) -> str:
         f"{m['return_first_tenth']:.0f} to {m['return_last_tenth']:.0f} and the share of lifted "
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
+        + _before_and_after(d)
+    )
+
+
+def _before_and_after(d: dict[str, Any]) -> str:
+    """What the evaluation says that the training brought."""
+    if "untrained_n" not in d:
+        return ""
+    count = {
+        name: f"{sum(r['successes'] for r in rows)} of {sum(r['episodes'] for r in rows)}"
+        for name, rows in (
+            ("before", [r for r in d["rows"] if r["squeeze_force_n"] == d["untrained_n"]]),
+            ("after", [r for r in d["rows"] if r["controller"] == "policy"]),
+        )
+    }
+    return (
+        f" In the evaluation {count['after']} objects are lifted, and {count['before']} before "
+        f"training (by the command alone that the policy adds to, {d['untrained_n']:g} N)."
     )
 
 

@@ -85,6 +85,7 @@ def write(out: Path, run: Path, durations: dict[str, float]) -> None:
     document = {
         "schema": results["schema"],
         "label": results["label"],
+        "untrained_n": results["untrained_n"],
         "make_train": durations | curve(run / "metrics.csv"),
         "rows": results["rows"],
         "provenance": results["provenance"] | {"command": command_line()},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import tyro
 from rich.console import Console
 
@@ -18,7 +20,7 @@ from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.provenance import provenance
+from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
 
 
@@ -26,18 +28,25 @@ def main(config: EvaluateConfig) -> None:
     """The command."""
     console = Console(stderr=True)
     check_writable("--out", config.out)
-    policy = None
-    if config.controller == "policy":
-        policy = load_policy(config.policy or asset_path("policy.npz"))
-    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
+    handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+    file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
+    policy = None if file is None else load_policy(file)
+    stored = load_handoffs(handoffs)
     names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
     scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
     world = build_world(scene, states, ClosingConfig())
     rows, trials = evaluate(world, names, config, policy, stored.kind, console)
-    counted = incidents(trials.values())
-    write_results(config.out, rows, provenance(config.seed), not_eligible=without, **counted)
+    write_results(
+        config.out,
+        rows,
+        provenance(config.seed),
+        not_eligible=without,
+        settings=asdict(config),
+        sha256=file_digests(policy=file, handoffs=handoffs),
+        **incidents(trials.values()),
+    )
     Console().print(success_table(rows))
     console.print(f"written: {config.out}")
 

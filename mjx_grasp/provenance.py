@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import platform
 import shlex
@@ -63,6 +64,15 @@ def git_revision() -> str:
     except (OSError, subprocess.CalledProcessError):
         stamp = _root() / "REVISION"
         return stamp.read_text().strip() if stamp.is_file() else "unknown"
+
+
+def file_digests(**paths: Path | None) -> dict[str, str]:
+    """SHA-256 of the files that went into a result, by what they are; None stands for no file."""
+    return {
+        what: hashlib.sha256(path.read_bytes()).hexdigest()
+        for what, path in paths.items()
+        if path is not None
+    }
 
 
 def versions() -> dict[str, str]:

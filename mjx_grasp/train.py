@@ -38,6 +38,11 @@ def parse(argv: list[str]) -> TrainConfig:
             raise InputError("--resume", " ".join(argv), "no other flag: a run keeps its settings")
         return stored_config(known.resume)
     default = preset_config(known.preset)
+    named = {flag.partition("=")[0] for flag in others}
+    if "--ppo.worlds" in named:
+        if "--fit-memory" in named:
+            raise InputError("--fit-memory", "--ppo.worlds as well", "one of the two")
+        default = replace(default, fit_memory=False)
     asked = replace(default, preset=known.preset)  # so that the help's default is auto, not cpu
     config = tyro.cli(TrainConfig, args=argv, default=asked, description=__doc__)
     return replace(config, preset=default.preset)

@@ -1,7 +1,6 @@
 """Shared fixtures, and run-time checks of the shapes that signatures promise."""
 
 import os
-import shutil
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,9 +11,12 @@ from jaxtyping import install_import_hook
 # Many tests start commands, and these compile the same programs again: once is enough.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".cache/jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# The suite is the CPU's: several workers cannot each have a whole GPU. JAX_PLATFORMS=cuda with one
+# worker (TEST_FLAGS=) runs it there.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # On the CPU the tests compile far longer than they compute, so XLA optimises little. XLA_FLAGS=
 # (empty) runs them with the code that users get.
-if not shutil.which("nvidia-smi"):
+if os.environ["JAX_PLATFORMS"] == "cpu":
     flags = "--xla_backend_optimization_level=0"
     if version("jaxlib").startswith("0.10."):  # later ones end at a flag that they do not know
         flags += " --xla_cpu_use_fusion_emitters=false"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -20,6 +21,7 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
 from mjx_grasp.train import parse
+from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
 from mjx_grasp.training.config import preset_config, stored_config
 from mjx_grasp.training.job import train
@@ -99,6 +101,9 @@ def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
     assert results.provenance["seed"] == 5
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     assert results.provenance["command"].startswith("python -m mjx_grasp.evaluate --controller")
+    assert results.extra["settings"]["states"] == "all"
+    handoffs = hashlib.sha256((trained / "handoffs.npz").read_bytes()).hexdigest()
+    assert results.extra["sha256"] == {"handoffs": handoffs}
 
 
 def test_evaluate_refuses_before_anything_long(trained, tmp_path, monkeypatch, capsys):
@@ -114,7 +119,7 @@ def test_evaluate_refuses_before_anything_long(trained, tmp_path, monkeypatch, c
         assert not out.exists()
 
 
-def test_presets_differ_as_they_say():
+def test_presets_differ_as_they_say(monkeypatch):
     paper = preset_config("paper")
     assert (paper.ppo.worlds, paper.ppo.unroll, paper.ppo.iterations) == (1024, 64, 470)
     assert paper.task.residual == "integrated"
@@ -123,6 +128,7 @@ def test_presets_differ_as_they_say():
     cpu = preset_config("cpu")
     assert cpu.engine == "mujoco"
     assert len(cpu.objects) == 1
+    monkeypatch.setattr(training_config, "has_gpu", lambda: False)
     with pytest.raises(InputError, match="GPU"):
         preset_config("gpu")
     with pytest.raises(InputError, match="huge"):
@@ -134,6 +140,25 @@ def test_resume_takes_no_other_flag(tmp_path):
         parse(["--resume", str(tmp_path), "--seed", "3"])
     with pytest.raises(FileError, match=r"no run: config\.json is missing"):
         stored_config(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content", ["[]", '{"ppo": null}', '{"ppo": {"world": 3}}', '{"seeds": 1}']
+)
+def test_a_run_with_other_settings_is_refused_by_its_file(tmp_path, content):
+    (tmp_path / "config.json").write_text(content)
+    with pytest.raises(FileError, match=r"config\.json.*the settings of a run"):
+        stored_config(tmp_path)
+
+
+def test_a_number_of_worlds_is_not_replaced_by_what_fits(monkeypatch):
+    monkeypatch.setattr(training_config, "has_gpu", lambda: True)
+    assert parse(["--preset", "gpu"]).fit_memory
+    for given in (["--ppo.worlds", "64"], ["--ppo.worlds=64"]):
+        asked = parse(["--preset", "gpu", *given])
+        assert asked.ppo.worlds == 64 and not asked.fit_memory
+    with pytest.raises(InputError, match="--fit-memory"):
+        parse(["--preset", "gpu", "--ppo.worlds", "64", "--fit-memory"])
 
 
 def refused(config, *, match):
@@ -170,7 +195,8 @@ def test_an_interrupted_run_says_how_to_continue(monkeypatch):
         train(config, Console(quiet=True))
 
 
-def test_help_of_the_preset_says_how_it_is_chosen(capsys):
+def test_help_of_the_preset_says_how_it_is_chosen(capsys, monkeypatch):
+    monkeypatch.setattr(training_config, "has_gpu", lambda: False)
     with pytest.raises(SystemExit):
         parse(["--help"])
     said = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())

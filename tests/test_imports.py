@@ -15,8 +15,7 @@ ORDER = (
 LAST = 1 + len(ORDER)
 """The rank of the commands."""
 EXCEPTIONS = {
-    # Reaching solves for postures from the starts and with the robot's arrays of handoff's search,
-    # which are to become a stage of their own before both.
+    # Reaching solves for postures with parts of handoff's search, which belong before both.
     ("mjx_grasp.reaching.config", "mjx_grasp.handoff.config"),
     ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.config"),
     ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.ik"),

@@ -132,7 +132,9 @@ def test_the_stages_before_closing_have_their_tables(root):
     first |= {"env_steps": 983040, "return_first_tenth": 862.0, "return_last_tenth": 1134.0}
     first |= {"success_first_tenth_percent": 34.0, "success_last_tenth_percent": 75.0}
     made = json.loads((results / "five.json").read_text())
-    made |= {"make_train": first, "label": "policy, preset cpu"}
+    untrained = made["rows"][0] | {"controller": "squeeze", "squeeze_force_n": 1.0}
+    made["rows"].append(untrained | {"successes": 20, "never_lifted": 44, "ci95": [20.0, 44.0]})
+    made |= {"make_train": first, "label": "policy, preset cpu", "untrained_n": 1.0}
     (results / "make_train_cpu.json").write_text(json.dumps(made))
     run(root)
     main = (root / "README.md").read_text()
@@ -152,6 +154,7 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
     assert "rose from 862 to 1134" in detail
+    assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
 
 
 def test_policies_stand_beside_the_squeeze_of_the_same_force(root):

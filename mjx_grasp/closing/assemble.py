@@ -1,4 +1,4 @@
-"""From names and files to an environment: what training, evaluation and the demo share."""
+"""From names and files to an environment: what training and evaluation share."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def write_results(
         "rows": [asdict(r) for r in rows],
         "provenance": provenance,
     }
-    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    text = json.dumps(document, indent=1, allow_nan=False, default=str) + "\n"
     with replacing(path) as temporary:
         temporary.write_text(text)
 

@@ -29,10 +29,12 @@ def bytes_per_world(scene: Scene, unroll: int) -> int:
     return _COPIES * state + fields + 4 * _TRANSITION_NUMBERS * unroll
 
 
-def worlds_that_fit(scene: Scene, unroll: int, memory_bytes: int, most: int = MOST_WORLDS) -> int:
+def worlds_that_fit(
+    scene: Scene, ppo: PPOConfig, memory_bytes: int, most: int = MOST_WORLDS
+) -> int:
     """The largest power of two of worlds that four fifths of the memory hold, at most `most`."""
-    fit = int(0.8 * memory_bytes / bytes_per_world(scene, unroll))
-    return min(most, 2 ** int(math.log2(max(fit, PPOConfig.minibatches))))
+    fit = int(0.8 * memory_bytes / bytes_per_world(scene, ppo.unroll))
+    return min(most, 2 ** int(math.log2(max(fit, ppo.minibatches))))
 
 
 def device_memory() -> int:

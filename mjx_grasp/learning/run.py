@@ -24,7 +24,7 @@ from rich.table import Column
 from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import MjxGraspError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
-from mjx_grasp.learning.checkpoint import save_checkpoint
+from mjx_grasp.learning.checkpoint import checkpoints, save_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.interrupt import InterruptGuard
 from mjx_grasp.learning.log import MetricLog
@@ -163,7 +163,11 @@ def _describe(
 
 
 def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
-    """Stops a training whose numbers are no numbers, before they reach a checkpoint."""
+    """Stops a training whose numbers are no numbers, before they reach a checkpoint.
+
+    Raises:
+        TrainingDiverged: The loss or a parameter is not finite.
+    """
     leaves = jax.tree.leaves(state.params)
     finite = np.isfinite(row["total_loss"]) and all(
         np.isfinite(x).all() for x in map(np.asarray, leaves)
@@ -172,9 +176,12 @@ def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
         return
     path = folder / "diverged.npz"
     _save_arrays(path, {"params": state.params, "normalizer": state.normalizer})
+    kept = checkpoints(folder / "checkpoints")
+    newest = kept[-1].name if kept else "none yet"
     raise TrainingDiverged(
         f"{path}: the loss or a parameter is not finite at iteration {int(state.iteration)}; "
-        "the last checkpoint is from before it: lower PPOConfig.learning_rate and resume"
+        f"the newest checkpoint is {newest}: begin a new run with a lower --ppo.learning-rate "
+        "(a resumed one does what this one did)"
     )
 
 

@@ -84,7 +84,10 @@ def load_object(
 def load_objects(
     names: Sequence[str], objects_dir: Path | None = None, cache_dir: Path | None = None
 ) -> list[ObjectModel]:
-    """Loads several objects, with a progress bar while shapes have to be worked out."""
+    """Loads several objects, with a progress bar while shapes have to be worked out.
+
+    Says which of them are collided with well outside their surface.
+    """
     meshes = (_mesh(n, objects_dir) for n in names)
     missing = sum(not _cache_entry(_content_hash(m), cache_dir).exists() for m in meshes)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -101,6 +104,13 @@ def load_objects(
         for name in names:
             loaded.append(load_object(name, objects_dir, cache_dir))
             progress.advance(bar)
+    allowed = ConvexConfig().single_hull_error
+    off = {o.name: 1e3 * o.outward_error_95 for o in loaded if o.outward_error_95 > allowed}
+    if off:
+        named = ", ".join(f"{name} ({error:.0f} mm)" for name, error in off.items())
+        Console(stderr=True).print(
+            f"[yellow]convex pieces stand out by more than {1e3 * allowed:g} mm: {named}[/yellow]"
+        )
     return loaded
 
 

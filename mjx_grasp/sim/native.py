@@ -105,7 +105,6 @@ class NativePhysics:
             object_quat=state.qpos[:, at.object_qpos[3:]],
             object_vel=state.qvel[:, at.object_dof],
             external_torque=residual,
-            overflow=jnp.zeros(worlds, bool),
             **out,
         )
         return state, readings
@@ -161,6 +160,7 @@ class _World:
         d.qvel[:] = state.qvel[w]
         d.qacc_warmstart[:] = state.warmstart[w]
         d.ctrl[:] = state.ctrl[w]
+        full = _times_full(d)
         for s in range(self._substeps):
             before = d.qvel.copy()
             mujoco.mj_step(m, d)
@@ -182,6 +182,7 @@ class _World:
         out["tip_force"][w] = d.sensordata[at.tip_force[:, 1:]]
         out["finger_force"][w] = d.sensordata[at.finger_force[:, 1:]]
         out["constraints"][w] = d.nefc
+        out["overflow"][w] = _times_full(d) > full
 
     def _apply(self, friction: float, mass_scale: float) -> None:
         if (friction, mass_scale) == self._settings:
@@ -195,6 +196,12 @@ class _World:
         for b in (0, body):
             m.body_subtreemass[b] = pristine.body_subtreemass[b] + added
         self._settings = (friction, mass_scale)
+
+
+def _times_full(data: mujoco.MjData) -> int:
+    """How often contacts or constraints have not found room in the data so far."""
+    warnings = mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL
+    return sum(int(data.warning[w].number) for w in warnings)
 
 
 def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
@@ -221,5 +228,6 @@ def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, .
         name: (shape, np.dtype(np.float32)) for name, shape in floats.items()
     }
     shapes["tip_found"] = ((f,), np.dtype(bool))
+    shapes["overflow"] = ((), np.dtype(bool))
     shapes["constraints"] = ((), np.dtype(np.int32))
     return shapes

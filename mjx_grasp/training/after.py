@@ -21,7 +21,7 @@ from mjx_grasp.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.training.config import TrainConfig
-from mjx_grasp.viz.report import write_report
+from mjx_grasp.viz.report import untrained_note, write_report
 from mjx_grasp.viz.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
@@ -67,11 +67,15 @@ def evaluate_and_report(
         )
         rows += new
         runs += trials.values()
-    untrained = replace(base, controller="squeeze", squeeze_force=policy_task(policy).grip_force)
+    # Before training a policy adds nothing to its command: that is a squeeze of so much force.
+    grip_force = policy_task(policy).grip_force
+    untrained = replace(base, controller="squeeze", squeeze_force=grip_force)
     before, trials = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
     label, counted = f"policy, preset {config.preset}", incidents([*runs, *trials.values()])
-    write_results(base.out, rows + before, provenance(config.seed), label=label, **counted)
+    made = provenance(config.seed)
+    write_results(base.out, rows + before, made, label=label, untrained_n=grip_force, **counted)
     console.print(success_table(rows + before))
+    console.print(untrained_note(grip_force))
 
     video, problem = folder / "grasp.mp4", None
     save_trajectory(

@@ -24,7 +24,8 @@ class TrainConfig:
 
     preset: Preset = "auto"
     """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise. What this help shows
-    as the other settings' defaults is what the preset sets."""
+    as the other settings' defaults is what the preset sets. paper has the published actions, critic
+    and number of worlds and steps; what the publication leaves open is as in the others."""
     objects: tuple[str, ...] = ("eight",)
     """Objects or groups of the catalogue to train on."""
     objects_dir: Path | None = None
@@ -40,8 +41,8 @@ class TrainConfig:
     engine: Engine = "mjx"
     seed: int = 0
     fit_memory: bool = False
-    """Take as many worlds as the device's memory holds instead of ppo.worlds, 8,192 at most: beyond
-    that a training is no faster."""
+    """Take as many worlds as the device's memory holds, 8,192 at most: beyond that a training is no
+    faster. Off where --ppo.worlds is given."""
     evaluation_episodes: int = 64
     """Episodes per object after training, for policy, untrained policy and squeeze; 0 for none."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -135,7 +136,7 @@ def stored_config(folder: Path) -> TrainConfig:
     """The configuration of a run, set to be resumed.
 
     Raises:
-        FileError: There is no readable configuration.
+        FileError: There is no readable configuration, or one with unknown or impossible settings.
     """
     path = folder / "config.json"
     try:
@@ -144,4 +145,7 @@ def stored_config(folder: Path) -> TrainConfig:
         raise FileError(folder, "no run: config.json is missing", "a run's folder") from None
     except (OSError, ValueError) as error:
         raise FileError(path, f"no readable configuration ({error})", "a run's folder") from None
-    return replace(from_json(stored), resume=folder)
+    try:
+        return replace(from_json(stored), resume=folder)
+    except (InputError, TypeError, AttributeError) as error:
+        raise FileError(path, str(error), "the settings of a run") from None

@@ -168,7 +168,7 @@ def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> Hando
 def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
     if not config.fit_memory:
         return config.ppo
-    worlds = worlds_that_fit(scene, config.ppo.unroll, device_memory())
+    worlds = worlds_that_fit(scene, config.ppo, device_memory())
     return replace(config.ppo, worlds=worlds)
 
 

@@ -111,7 +111,18 @@ def _results(paths: Sequence[str | Path]) -> str:
             parts.append(_image(plot, "mean success against mean contact force"))
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
         parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")
-    return "".join(parts)
+    extras = [read_results(path).extra for path in paths]
+    untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
+    return "".join([*parts, *(_note(untrained_note(force)) for force in untrained)])
+
+
+def untrained_note(force: float) -> str:
+    """What a squeeze with the policy's own command is.
+
+    Args:
+        force: Of the command, per finger [N].
+    """
+    return f"squeeze {force:g} N is the policy before its training: the command that it adds to."
 
 
 def _curves(path: Path) -> str:

@@ -202,7 +202,7 @@ def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
             policy=jax.tree.map(lambda x: x.at[(0,) * x.ndim].set(jnp.nan), state.params.policy)
         )
     )
-    with pytest.raises(TrainingDiverged, match=r"diverged\.npz.*iteration 2"):
+    with pytest.raises(TrainingDiverged, match=r"diverged\.npz.*iteration 2; .*00000001"):
         train_loop(folder, bad, env, tiny.ppo(3), LoopConfig(checkpoint_every=1), {})
     assert [p.name for p in checkpoints(folder / "checkpoints")] == ["iteration_00000001"]
     back = restore_checkpoint(

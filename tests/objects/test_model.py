@@ -136,6 +136,16 @@ def test_several_objects_in_their_order(scans, cache):
         assert_same(each, load_object(each.name, scans, cache))
 
 
+def test_pieces_that_stand_out_are_named(scans, cache, monkeypatch, capsys):
+    load_objects(["foam_brick"], scans, cache)
+    assert "stand out" not in capsys.readouterr().err
+    pieces = load_object("foam_brick", scans, cache).pieces
+    monkeypatch.setattr(model, "convex_pieces", lambda mesh: (pieces, 0.009))
+    load_objects(["foam_brick", "pitcher_base"], scans, cache)  # the first from the cache
+    said = " ".join(capsys.readouterr().err.split())
+    assert "more than 6 mm: pitcher_base (9 mm)" in said and "foam_brick" not in said
+
+
 def test_an_unknown_name_is_refused(cache):
     with pytest.raises(InputError, match="foam_brik"):
         load_object("foam_brik", cache_dir=cache)

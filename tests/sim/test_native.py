@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import handmade
 import jax
 import jax.numpy as jnp
@@ -6,6 +8,8 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.objects.model import Piece
+from mjx_grasp.sim import scene as scene_module
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import (
     check_control_rate,
@@ -50,6 +54,32 @@ def reference(model, qpos, ctrl, ticks, substeps=5):
             mujoco.mj_step(model, data)
             constraint.append(data.qfrc_constraint.copy())
     return data, np.array(constraint)
+
+
+def test_contacts_that_find_no_room_are_an_overflow(robot, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log where it warns
+    set_options = scene_module._set_options
+
+    def small(spec, config):
+        set_options(spec, config)
+        spec.memory = 80 * 1024
+
+    balls = [
+        Piece("sphere", np.array([0.004 * k, 0.0, 0.0]), 0.02, np.zeros((0, 3))) for k in range(36)
+    ]
+    obj = replace(handmade.ball(), pieces=tuple(balls))
+    found = {}
+    for options in (small, set_options):
+        monkeypatch.setattr(scene_module, "_set_options", options)
+        one = build_scene([obj], robot)
+        physics = NativePhysics(one, threads=1)
+        qpos = np.array(one.model.qpos0, np.float32)[None]
+        qpos[0, one.addresses.object_qpos[:3]] = (0.5, 0.0, 0.015)
+        ctrl = jnp.zeros((1, one.model.nu))
+        params = make_params(jnp.array([0]), 0.8)
+        _, readings = physics.step(physics.init(jnp.asarray(qpos), ctrl), params, ctrl)
+        found[options] = bool(readings.overflow[0])
+    assert found == {small: True, set_options: False}
 
 
 def test_worlds_follow_plain_mujoco(scene, starts, native, robot, handmade_objects):

@@ -96,6 +96,16 @@ def test_a_gif_is_shown_as_a_picture(run):
     assert "video" not in page.tags
 
 
+def test_the_report_says_which_squeeze_is_the_untrained_policy(run):
+    results = [run / "results.json"]
+    rows = [result(60), result(40, 3.0)]
+    for extra, said in (({}, False), ({"untrained_n": 3.0}, True)):
+        write_results(results[0], rows, PROVENANCE, **extra)
+        write_report(run, results, None, None, run / "report.html")
+        text = Page((run / "report.html").read_text()).text
+        assert ("squeeze 3 N is the policy before its training" in text) == said
+
+
 def test_without_a_video_the_report_says_how_to_get_one(run):
     page = written(run, problem="no renderer <here>: apt-get install libegl1")
     assert "No video. no renderer <here>: apt-get install libegl1" in page.text

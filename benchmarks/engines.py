@@ -29,8 +29,8 @@ from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_worl
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.closing.env import ClosingEnv, EnvState
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluate import shipped_handoffs
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.provenance import provenance
 from mjx_grasp.sim.scene import SceneConfig
 

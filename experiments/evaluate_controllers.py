@@ -21,11 +21,13 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluate import EvaluateConfig, eligible, evaluate, shipped_handoffs, states_of
+from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig

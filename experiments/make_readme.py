@@ -26,7 +26,6 @@ from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.evaluation.results import (
     SCHEMAS,
     ResultRow,
@@ -43,6 +42,7 @@ from mjx_grasp.evaluation.tables import (
     throughput_table,
 )
 from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"

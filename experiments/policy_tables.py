@@ -16,10 +16,10 @@ import numpy as np
 from stage_tables import NOTHING
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.table import Table
 
 
 class Evaluated(NamedTuple):

@@ -18,9 +18,11 @@ from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.provenance import provenance
+from mjx_grasp.reaching.poses import TUNING_SEEDS
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.reaching.sweep_run import run_sweep
-from mjx_grasp.sweep_reach import TUNING_SEEDS, SweepConfig
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sweep_reach import SweepConfig
 
 _KEPT = (
     "rate_percent",
@@ -82,16 +84,22 @@ def main(config: AblationConfig) -> None:
     console = Console()
     known = known_rows(config)
     rows: dict[str, dict[str, Any]] = {}
-    for name in PRESETS:
+    robot = load_robot()
+    for name, settings in PRESETS.items():
         console.print(name)
-        sweep = SweepConfig(
-            poses=config.poses, seed=config.seed, preset=name, bound=False, chunk=config.chunk
-        )
         if name in known:
             rows[name] = known[name]
         else:
-            result = run_sweep(sweep, console=console).result
-            rows[name] = {k: result[k] for k in _KEPT if k in result}
+            run = run_sweep(
+                robot,
+                settings,
+                config.poses,
+                config.seed,
+                chunk=config.chunk,
+                bound=False,
+                console=console,
+            )
+            rows[name] = {k: run.result[k] for k in _KEPT if k in run.result}
             rows[name]["provenance"] = provenance(config.seed)
         write_json(
             config.out,

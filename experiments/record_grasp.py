@@ -15,8 +15,8 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
-from mjx_grasp.evaluate import shipped_handoffs, states_of
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.training.after import best_grasp

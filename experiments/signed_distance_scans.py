@@ -29,7 +29,6 @@ from rich.progress import track
 from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import (
     DistanceField,
@@ -39,6 +38,7 @@ from mjx_grasp.geometry.signed_distance import (
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.provenance import provenance
+from mjx_grasp.table import Table
 
 SCHEMA = "mjx_grasp.signed_distance/2"
 # Step of the finite differences, [m]: so small that hardly any cross a cell's border.

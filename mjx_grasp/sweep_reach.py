@@ -23,9 +23,6 @@ from mjx_grasp.provenance import provenance
 if TYPE_CHECKING:
     from mjx_grasp.reaching.presets import Preset
 
-TUNING_SEEDS = (1, 2, 3, 2752)
-"""Poses on which settings were chosen or faults were found; results that count come from others."""
-
 
 @dataclass(frozen=True)
 class SweepConfig:
@@ -51,12 +48,6 @@ class SweepConfig:
     """pictures of failures to write (.png); needs MUJOCO_GL=egl on a machine without a screen"""
 
     def __post_init__(self):
-        if self.poses < 1:
-            raise InputError("poses", self.poses, "a whole number from 1")
-        if self.seed < 0:
-            raise InputError("seed", self.seed, "a whole number from 0")
-        if self.chunk is not None and self.chunk < 1:
-            raise InputError("chunk", self.chunk, "a whole number from 1")
         for name, suffix in (("out", ".json"), ("plot", ".png"), ("gallery", ".png")):
             path = getattr(self, name)
             if path is not None and path.suffix != suffix:
@@ -87,7 +78,7 @@ def check_gallery(config: SweepConfig) -> None:
 
 def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) -> dict[str, Any]:
     """The contents of a results file."""
-    from mjx_grasp.reaching.poses import PoseDistribution
+    from mjx_grasp.reaching.poses import TUNING_SEEDS, PoseDistribution
 
     return {
         "provenance": provenance(config.seed),
@@ -113,8 +104,16 @@ def main() -> None:
     from mjx_grasp.robot.spec import load_robot
 
     console = Console()
-    settings = for_sweep(preset(config.preset))
-    run = run_sweep(config, console=console)
+    settings, robot = for_sweep(preset(config.preset)), load_robot(config.robot)
+    run = run_sweep(
+        robot,
+        settings,
+        config.poses,
+        config.seed,
+        chunk=config.chunk,
+        bound=config.bound,
+        console=console,
+    )
     console.print(rate_table(run.result, config.preset))
     console.print(residual_table(run.result, config.preset))
     failures = ", ".join(f"{n} {v:.1f} %" for n, v in run.result["failures_percent"].items() if v)
@@ -130,7 +129,6 @@ def main() -> None:
                 temporary.write_bytes(rate_plot(run.result, config.preset))
             console.print(f"written: {config.plot}")
         if config.gallery:
-            robot = load_robot(config.robot)
             failure_gallery(config.gallery, robot, run.poses, run.record, run.classes)
             console.print(f"written: {config.gallery}")
 

@@ -105,8 +105,11 @@ def test_the_ablation_goes_on_where_it_stopped(tmp_path, monkeypatch):
     ablation = script("reach_ablation")
     swept = []
 
-    def run_sweep(sweep, console):
-        swept.append(sweep.preset)
+    names = {id(settings): name for name, settings in ablation.PRESETS.items()}
+
+    def run_sweep(robot, settings, count, seed, **_):
+        assert (count, seed) == (8, 4)
+        swept.append(names[id(settings)])
         if len(swept) == 3:
             raise KeyboardInterrupt
         values = {t: dict.fromkeys(("1", "3", "7"), 50.0) for t in ("20", "10")}

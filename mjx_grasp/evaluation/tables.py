@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.evaluation.results import (
     ResultRow,
     Results,
@@ -17,6 +16,7 @@ from mjx_grasp.evaluation.results import (
     mean_success,
     read_results,
 )
+from mjx_grasp.table import Table
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _HANDOFFS = {"ik": "IK handoffs", "reached": "reached handoffs"}

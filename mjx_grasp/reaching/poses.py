@@ -10,6 +10,9 @@ from jaxtyping import Bool, Float
 
 from mjx_grasp.errors import InputError
 
+TUNING_SEEDS = (1, 2, 3, 2752)
+"""Poses on which settings were chosen or faults were found; results that count come from others."""
+
 
 @dataclass(frozen=True)
 class PoseDistribution:
@@ -54,10 +57,12 @@ def draw_poses(
         distribution: Ranges.
 
     Raises:
-        InputError: A count below one.
+        InputError: A count below one, or a negative seed.
     """
     if count < 1:
         raise InputError("poses", count, "a whole number from 1")
+    if seed < 0:
+        raise InputError("seed", seed, "a whole number from 0")
     d = distribution or PoseDistribution()
     ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
     unit = np.random.default_rng(seed).random((count, len(ranges)))

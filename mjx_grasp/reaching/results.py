@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.reaching.body import ReachBody
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.poses import CylinderPoses
 from mjx_grasp.reaching.sweep import BUDGETS, TOLERANCES, ReachRecord, share_converged
+from mjx_grasp.table import Table
 
 Values = np.ndarray | Array
 """Numbers of a sweep, one per pose."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,17 +12,15 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.compilation import compile_seconds
+from mjx_grasp.errors import InputError
 from mjx_grasp.reaching.body import reach_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import PlanConfig, start_library
 from mjx_grasp.reaching.poses import CylinderPoses, draw_poses
-from mjx_grasp.reaching.presets import Preset, for_sweep, preset
+from mjx_grasp.reaching.presets import Preset, for_sweep
 from mjx_grasp.reaching.results import classify, summary
 from mjx_grasp.reaching.sweep import ReachRecord, plan_all, sweep
-from mjx_grasp.robot.spec import load_robot
-
-if TYPE_CHECKING:
-    from mjx_grasp.sweep_reach import SweepConfig
+from mjx_grasp.robot.spec import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -37,36 +35,48 @@ class SweepRun:
 
 
 def run_sweep(
-    config: SweepConfig, settings: Preset | None = None, console: Console | None = None
+    robot: RobotSpec,
+    settings: Preset,
+    count: int,
+    seed: int,
+    *,
+    chunk: int | None = None,
+    bound: bool = True,
+    console: Console | None = None,
 ) -> SweepRun:
     """Draws the poses, plans where the preset looks ahead, reaches for all, sums up.
 
     Args:
-        config: What to sweep.
-        settings: In place of the named preset's.
+        robot: What reaches.
+        settings: Of the controller; a sweep's ends (:func:`for_sweep`) take the place of its own.
+        count: Randomised cylinder poses.
+        seed: Of the poses.
+        chunk: Poses worked on at once; by default 128 on a CPU, all of them on an accelerator.
+        bound: Also report the share of poses for which a solution exists at all.
         console: Where progress is shown; nowhere if None.
 
     Raises:
-        InputError: An unknown preset or robot.
-        FileError: The robot's description cannot be read.
+        InputError: An impossible number, or a robot that the controller or its plan cannot use.
     """
-    settings = for_sweep(settings or preset(config.preset))
-    body = reach_body(load_robot(config.robot))
+    if chunk is not None and chunk < 1:
+        raise InputError("chunk", chunk, "a whole number from 1")
+    poses = draw_poses(count, seed)
+    settings = for_sweep(settings)
+    body = reach_body(robot)
     reacher = Reacher(body, settings.reach, settings.selection)
-    poses = draw_poses(config.poses, config.seed)
     on_cpu = jax.default_backend() == "cpu"
-    chunk = min(config.chunk or (128 if on_cpu else config.poses), config.poses)
+    chunk = min(chunk or (128 if on_cpu else count), count)
     dt, cap = settings.reach.controller.dt, settings.reach.controller.timeout
     seconds: dict[str, float] = {}
     plans, least_error = None, None
     with counting_progress(console) as progress:
-        if settings.plan or config.bound:
+        if settings.plan or bound:
             plan = settings.plan or PlanConfig()
             task = progress.add_task("library of starts", total=None)
             start, compiled = time.perf_counter(), compile_seconds()
             library = start_library(body, plan)
             progress.update(task, visible=False)
-            task = progress.add_task("inverse kinematics", total=config.poses)
+            task = progress.add_task("inverse kinematics", total=count)
             found = plan_all(
                 reacher,
                 plan,
@@ -78,7 +88,7 @@ def run_sweep(
             seconds["planning"] = time.perf_counter() - start - compile_seconds() + compiled
             least_error = found.least_error
             plans = found.plans if settings.plan else None
-        task = progress.add_task("reaching", total=config.poses * round(cap / dt))
+        task = progress.add_task("reaching", total=count * round(cap / dt))
         start, compiled = time.perf_counter(), compile_seconds()
         record = sweep(reacher, poses, plans, chunk, lambda ticks: progress.advance(task, ticks))
         seconds["reaching"] = time.perf_counter() - start - compile_seconds() + compiled

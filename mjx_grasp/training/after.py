@@ -10,8 +10,9 @@ from rich.console import Console
 
 from mjx_grasp.closing.assemble import World, build_world
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.evaluate import EvaluateConfig, evaluate, policy_task
+from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.run import evaluate, policy_task
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet

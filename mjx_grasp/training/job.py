@@ -14,9 +14,9 @@ from rich.console import Console
 from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.closing.assemble import World, build_scene_of, build_world
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.evaluate import eligible, states_of
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
+from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
@@ -150,7 +150,7 @@ def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> Hando
     """The set in the run's folder, made now if it is not there yet."""
     path = folder / "handoffs.npz"
     if not path.exists():
-        from mjx_grasp.handoffs import make_handoffs
+        from mjx_grasp.handoff.make import make_handoffs
 
         console.print("making handoff states (give --handoffs to use a stored set)")
         make_handoffs(

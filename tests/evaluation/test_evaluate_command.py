@@ -8,8 +8,10 @@ import pytest
 from mjx_grasp import evaluate as module
 from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluate import EvaluateConfig, chosen_states, shipped_handoffs
+from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.run import chosen_states
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import shipped_handoffs
 
 
 @pytest.mark.parametrize(

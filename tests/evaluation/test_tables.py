@@ -7,7 +7,6 @@ from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.layout import Table
 from mjx_grasp.evaluation.results import ResultRow, Results, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import (
@@ -19,6 +18,7 @@ from mjx_grasp.evaluation.tables import (
     summary_table,
     throughput_table,
 )
+from mjx_grasp.table import Table
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "a card", "seed": 0}
 

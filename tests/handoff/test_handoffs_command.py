@@ -6,8 +6,9 @@ import sys
 import handmade
 import pytest
 
-from mjx_grasp import handoffs as module
+from mjx_grasp import handoffs as command
 from mjx_grasp.errors import InputError
+from mjx_grasp.handoff import make as module
 from mjx_grasp.handoff.config import IkConfig, SamplingConfig
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.report import ObjectReport
@@ -29,7 +30,7 @@ def run(monkeypatch, capsys):
 
         monkeypatch.setattr(module, "HandoffGenerator", Generator)
         monkeypatch.setattr(sys, "argv", ["handoffs", *map(str, arguments)])
-        module.main()
+        command.main()
         return " ".join(capsys.readouterr().out.split())
 
     return with_arguments

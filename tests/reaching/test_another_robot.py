@@ -14,7 +14,6 @@ from mjx_grasp.reaching.presets import preset
 from mjx_grasp.reaching.surroundings import placed
 from mjx_grasp.reaching.sweep_run import run_sweep
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sweep_reach import SweepConfig
 
 POSES = 8
 
@@ -27,7 +26,7 @@ def description(tmp_path_factory):
 def test_it_reaches_and_stays_clear(description):
     settings = preset("default")
     settings = replace(settings, plan=replace(settings.plan, library=10_000))
-    run = run_sweep(SweepConfig(robot=str(description), poses=POSES, seed=5, chunk=POSES), settings)
+    run = run_sweep(load_robot(description), settings, POSES, seed=5, chunk=POSES)
     assert run.result["rate_percent"]["20"]["3"] >= 75.0
     assert run.record.speed_ratio.max() <= 1.0 and run.record.limit_excess.max() == 0.0
     limits, clear = settings.reach.limits, run.record.start_distance >= 0.01

@@ -1,0 +1,127 @@
+"""An evaluation from its configuration to its rows: start states, trials, sums, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mjx_grasp.closing.assemble import World
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.results import ResultRow
+from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.evaluation.trials import (
+    Trials,
+    incidents,
+    paired_draws,
+    run_trials,
+    zero_controller,
+)
+from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.handoff.states import eligible, states_of
+from mjx_grasp.learning.policy import Policy
+from mjx_grasp.objects.catalogue import resolve
+
+
+def chosen_states(
+    stored: HandoffSet, config: EvaluateConfig
+) -> tuple[list[str], list[str], HandoffSet]:
+    """The objects that can be evaluated, those that cannot, and the former's states.
+
+    Raises:
+        InputError: An unknown object, or none with states in the part of the set.
+    """
+    asked = resolve(config.objects)
+    part = states_of(stored, [n for n in asked if n in stored.object_names], config.states)
+    names, without = eligible(asked, part)
+    if not names:
+        counts = states_of(stored, stored.object_names, config.states).counts()
+        known = ", ".join(n for n in counts if counts[n]) or "none"
+        raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
+    return names, without, part.select(names)
+
+
+def evaluate(
+    world: World,
+    names: Sequence[str],
+    config: EvaluateConfig,
+    policy: Policy | None,
+    handoff_kind: str,
+    console: Console,
+) -> tuple[list[ResultRow], dict[str, Trials]]:
+    """Runs the trials of each object, sums them up and warns of what the engine could not do.
+
+    Args:
+        world: Scene and start states.
+        names: Objects, all of them with start states.
+        config: Controller, engine and condition.
+        policy: The policy, for the controller `policy`.
+        handoff_kind: `ik` or `reached`, for the rows.
+        console: Where the progress bar and warnings go.
+    """
+    task = policy_task(policy) if policy else ClosingConfig(grip_force=config.squeeze_force)
+    worlds = min(config.worlds, config.episodes)
+    env = world.env(config.engine, worlds, task, config.noise, with_privileged=False)
+    controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(env)
+    rows, trials = [], {}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+        job = bar.add_task(f"{config.controller} in {config.engine}", total=len(names))
+        for name in names:
+            index = world.scene.object_index(name)
+            draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
+            trials[name] = run_trials(env, controller, draw, worlds)
+            rows.append(summarise(name, trials[name], config, handoff_kind))
+            _warn(name, trials[name], console)
+            bar.update(job, advance=1)
+    return rows, trials
+
+
+def policy_task(policy: Policy) -> ClosingConfig:
+    """The task a policy was trained in, as its file says."""
+    return ClosingConfig(**policy.meta["task"])
+
+
+def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str) -> ResultRow:
+    """One row of a results file."""
+    n, successes = len(trials.success), int(trials.success.sum())
+    lifted = ~np.isnan(trials.force_mean)
+    squeeze = config.controller == "squeeze"
+    return ResultRow(
+        object=name,
+        controller=config.controller,
+        engine=config.engine,
+        episodes=n,
+        successes=successes,
+        never_lifted=int(trials.never_lifted.sum()),
+        not_held=int(trials.not_held.sum()),
+        slipped=int(trials.slipped.sum()),
+        ci95=wilson_interval(successes, n),
+        force_mean_n=float(trials.force_mean[lifted].mean()) if lifted.any() else None,
+        force_peak_n=float(trials.force_peak[lifted].max()) if lifted.any() else None,
+        squeeze_force_n=config.squeeze_force if squeeze else None,
+        offset_mm=config.offset_mm,
+        angle_deg=config.angle_deg,
+        friction=config.friction,
+        handoffs=handoff_kind,
+    )
+
+
+def _warn(name: str, trials: Trials, console: Console) -> None:
+    """Says which trials cannot be trusted: contacts were left out, or the numbers were none."""
+    counted, n = incidents([trials]), len(trials.success)
+    if counted["overflows"]:
+        hit = int((trials.overflow_ticks > 0).sum())
+        console.print(
+            f"[yellow]{name}: {counted['overflows']} buffer overflows in {hit} of {n} trials; "
+            "contacts were left out[/yellow]"
+        )
+    if counted["broken_worlds"]:
+        console.print(
+            f"[yellow]{name}: {counted['broken_worlds']} of {n} worlds broken; "
+            "their states stopped being finite[/yellow]"
+        )

@@ -1,0 +1,90 @@
+"""The handoff set of a configuration, made object by object, saved and reported."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from rich.console import Console
+
+from mjx_grasp.atomic import as_json, check_writable
+from mjx_grasp.cli import counting_progress
+from mjx_grasp.errors import InputError
+from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
+from mjx_grasp.handoff.generate import HandoffGenerator
+from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
+from mjx_grasp.objects.catalogue import load_catalogue, resolve
+from mjx_grasp.objects.model import load_object, stand_in_hash
+from mjx_grasp.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+
+
+def make_handoffs(
+    config: HandoffConfig, console: Console | None = None
+) -> tuple[HandoffSet, list[ObjectReport]]:
+    """Makes, saves and reports the pre-grasps of all objects of a configuration.
+
+    Writes the set to ``config.out`` and the report beside it, with the suffix ``.json``. An object
+    without any pre-grasp is in the report, as not eligible, and in the set's names.
+
+    Args:
+        config: Settings.
+        console: Where progress is shown; nowhere if None.
+
+    Raises:
+        InputError: An unknown object or robot, a robot that does not reach the table, a file that
+            cannot be written, or no pre-grasp of any object; nothing is written then.
+        FileError: An object's scan, the robot's description or the set to update cannot be read.
+    """
+    check_writable("--out", config.out)
+    made = provenance(config.seed)  # of the code as it is before the set changes a tracked file
+    names = resolve(config.objects)
+    sets, reports, earlier = [], [], None
+    if config.update is not None:
+        before = load_handoffs(config.update)
+        earlier = read_report(config.update.with_suffix(".json"))
+        kept = before.select([n for n in before.object_names if n not in names])
+        _warn_of_mixed_shapes(kept, config, console)
+        sets.append(kept)
+    robot = load_robot(config.robot)
+    generator = HandoffGenerator(robot, config)
+    with counting_progress(console) as progress:
+        everything = progress.add_task("all objects", total=len(names) * config.per_object)
+        for done, name in enumerate(names):
+            task = progress.add_task(name, total=config.per_object)
+
+            def show(kept: int, task=task, done=done) -> None:
+                progress.update(task, completed=kept)
+                progress.update(everything, completed=done * config.per_object + kept)
+
+            handoffs, report = generator.generate(load_object(name, config.objects_dir), show)
+            progress.update(task, visible=False)
+            progress.update(everything, completed=(done + 1) * config.per_object)
+            sets.append(handoffs)
+            reports.append(report)
+    merged = merge(sets)
+    if len(merged) == 0:
+        raise InputError(
+            "--objects",
+            ", ".join(merged.object_names),
+            "one or more with a pre-grasp: none was found in "
+            f"{config.max_rounds} round(s), more --max-rounds may find some",
+        )
+    merged.save(config.out)
+    settings = as_json(asdict(config))
+    path = config.out.with_suffix(".json")
+    write_report(path, reports, made, settings, earlier)
+    return merged, reports
+
+
+def _warn_of_mixed_shapes(kept: HandoffSet, config: HandoffConfig, console: Console | None) -> None:
+    """Says so if the states taken over are of scans and the new ones of stand-ins, or reversed."""
+    wanted, known = config.objects_dir is None, load_catalogue()
+    stored = zip(kept.object_names, kept.object_content_hash, strict=True)
+    other = [n for n, digest in stored if n in known and (stand_in_hash(n) == digest) != wanted]
+    if other and console is not None:
+        kinds = ("scans", "stand-ins") if wanted else ("stand-ins", "scans")
+        console.print(
+            f"[yellow]warning: the set's {', '.join(other)} are {kinds[0]} and the new objects "
+            f"{kinds[1]}: no one command will take all of them[/yellow]"
+        )

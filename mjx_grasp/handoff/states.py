@@ -1,0 +1,31 @@
+"""Which states of a handoff set are used: the shipped sets, objects with states, their parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.handoff.dataset import HandoffSet
+
+
+def shipped_handoffs(objects_dir: Path | None) -> Path:
+    """The shipped handoff set of the eight: for real scans with a folder, else for stand-ins."""
+    return asset_path("handoffs_standins.npz" if objects_dir is None else "handoffs_scans.npz")
+
+
+def eligible(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
+    """Splits objects into those with start states and those without."""
+    have = set(np.asarray(handoffs.object_names)[np.unique(handoffs.object_index)])
+    return [n for n in names if n in have], [n for n in names if n not in have]
+
+
+def states_of(handoffs: HandoffSet, names: Sequence[str], part: str) -> HandoffSet:
+    """The named objects' states of a part of the set."""
+    chosen = handoffs.select(names)
+    if part == "all":
+        return chosen
+    training, evaluation = chosen.split()
+    return training if part == "training" else evaluation

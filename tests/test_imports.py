@@ -1,0 +1,106 @@
+"""Data pass through the packages in one order; what is imported goes against it nowhere."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ORDER = (
+    *("geometry", "objects", "robot", "sim"),
+    *("heatmap", "language", "selection", "reaching", "handoff", "closing"),
+    *("learning", "evaluation", "viz", "training"),
+)
+"""Each package imports from itself and from those before it."""
+LAST = 1 + len(ORDER)
+"""The rank of the commands."""
+EXCEPTIONS = {
+    # Reaching solves for postures with parts of handoff's search, which belong before both.
+    ("mjx_grasp.reaching.config", "mjx_grasp.handoff.config"),
+    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.config"),
+    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.ik"),
+    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.starts"),
+}
+"""Who imports what against the order, and why that is so for now."""
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+SOURCES = {module_name(p): p.read_text() for p in sorted((ROOT / "mjx_grasp").rglob("*.py"))}
+
+
+def imported(text: str) -> set[str]:
+    """The modules of the project that a source imports anywhere, in functions and for types too."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"a relative import in line {node.lineno}"
+            # Names of a package may be modules: `from mjx_grasp.viz import video`.
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    found = {name for name in found if name.split(".")[0] == "mjx_grasp"}
+    return {name if name in SOURCES else name.rpartition(".")[0] for name in found}
+
+
+def rank(module: str) -> int:
+    """0 for single modules that serve all, then the packages in order, then the commands."""
+    if module == "mjx_grasp":  # its public names are of any package
+        return LAST
+    part = module.split(".")[1]
+    if (ROOT / "mjx_grasp" / part).is_dir():
+        return 1 + ORDER.index(part)
+    return LAST if '__name__ == "__main__"' in SOURCES[module] else 0
+
+
+def against_the_order(module: str, text: str) -> set[tuple[str, str]]:
+    """What a module imports of a later rank; of its own too if it is a command."""
+    own = rank(module)
+    later = own - 1 if own == LAST else own
+    return {(module, name) for name in imported(text) if rank(name) > later}
+
+
+def test_every_package_has_its_place():
+    packages = {p.parent.name for p in (ROOT / "mjx_grasp").glob("*/__init__.py")}
+    assert packages == set(ORDER)
+
+
+def test_imports_follow_the_order():
+    found = set().union(*(against_the_order(*source) for source in SOURCES.items()))
+    assert sorted(found - EXCEPTIONS) == []
+    assert sorted(EXCEPTIONS - found) == [], "no longer imported: take them out of EXCEPTIONS"
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "name"),
+    [
+        ("training.job", "from mjx_grasp.evaluate import main", "evaluate"),
+        ("training.job", "from mjx_grasp import handoffs", "handoffs"),
+        ("handoff.make", "import mjx_grasp.handoffs as command", "handoffs"),
+        ("handoff", "def f():\n    from mjx_grasp.closing import env", "closing.env"),
+        ("robot.spec", "from mjx_grasp.evaluation import results", "evaluation.results"),
+        ("robot.spec", "from mjx_grasp import ClosingEnv", ""),
+        ("cli", "from mjx_grasp.robot.spec import load_robot", "robot.spec"),
+        ("train", "from mjx_grasp.evaluate import main", "evaluate"),
+    ],
+)
+def test_what_goes_against_it_is_found(module, line, name):
+    module = f"mjx_grasp.{module}"
+    assert against_the_order(module, line) == {(module, f"mjx_grasp.{name}".rstrip("."))}
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("evaluate", "from mjx_grasp.evaluation.run import evaluate"),
+        ("evaluation.run", "from mjx_grasp.evaluation.config import EvaluateConfig"),
+        ("closing.env", "from mjx_grasp.handoff import HandoffSet\nimport jax.numpy as jnp"),
+        ("reaching.results", "from mjx_grasp.table import Table"),
+        ("table", "from mjx_grasp.errors import InputError"),
+    ],
+)
+def test_what_follows_it_passes(module, line):
+    assert against_the_order(f"mjx_grasp.{module}", line) == set()

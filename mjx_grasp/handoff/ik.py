@@ -8,22 +8,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Bool, Float
 
 from mjx_grasp.geometry.vectors import dot, norm
-from mjx_grasp.handoff.clearance import (
-    HandSpheres,
-    hand_spheres,
-    outside_clearance,
-    own_clearance,
-    sphere_arms,
-)
+from mjx_grasp.handoff.clearance import outside_clearance
 from mjx_grasp.handoff.config import IkConfig
-from mjx_grasp.robot.kinematics import Kinematics
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.arrays import RobotArrays
+from mjx_grasp.robot.spheres import own_clearance, sphere_arms
 
 _FINGERS = 3
 _PALM = 2 * _FINGERS
@@ -51,51 +44,6 @@ class IkSolution(NamedTuple):
     approach: Float[np.ndarray, "b 3"]
     at_limit: Bool[np.ndarray, " b"]
     cost: Float[np.ndarray, " b"]
-
-
-class RobotArrays(NamedTuple):
-    """What the solver needs of a robot, in the robot's joint order.
-
-    Attributes:
-        kinematics: Frames: the three tips, the three pads, the palm, then the bodies that carry
-            the spheres.
-        lower, upper: ``[joints]`` position limits in [rad].
-        nominal: ``[joints]`` home with the hand open, [rad].
-        solved: ``[joints]`` whether a joint is solved for; the others stay nominal.
-        arm: ``[joints]`` whether a joint is the arm's.
-        approach_axis: ``[3]`` the palm's approach direction in its frame.
-        spheres: The hand's shape; its frames count from the first sphere body.
-    """
-
-    kinematics: Kinematics
-    lower: np.ndarray
-    upper: np.ndarray
-    nominal: np.ndarray
-    solved: np.ndarray
-    arm: np.ndarray
-    approach_axis: np.ndarray
-    spheres: HandSpheres
-
-
-def robot_arrays(robot: RobotSpec) -> RobotArrays:
-    """Limits, postures, shape and kinematics of arm and hand, from the robot's MJCF."""
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    fingers = robot.hand.fingers
-    sites = [f.tip_site for f in fingers] + [f.pad_site for f in fingers]
-    bodies = [robot.hand.palm_body, *(body for f in fingers for body in f.bodies)]
-    joints = [model.joint(name) for name in robot.joints]
-    driven = set(robot.arm.joints).union(*(f.joints for f in fingers))
-    addresses = np.array([int(j.qposadr[0]) for j in joints])
-    return RobotArrays(
-        kinematics=Kinematics.from_model(model, [*sites, robot.hand.palm_site], bodies),
-        lower=np.array([j.range[0] for j in joints]),
-        upper=np.array([j.range[1] for j in joints]),
-        nominal=np.array(robot.home),
-        solved=np.array([name in driven for name in robot.joints]),
-        arm=np.array([name in robot.arm.joints for name in robot.joints]),
-        approach_axis=np.array(robot.hand.approach_axis),
-        spheres=hand_spheres(model, robot, addresses, bodies),
-    )
 
 
 def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:

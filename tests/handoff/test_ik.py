@@ -188,3 +188,13 @@ def test_the_library_knows_where_its_configurations_put_tips_and_pads(arrays, li
     directions = mat[:, 3:6, :, 0].reshape(-1, 9)
     assert np.allclose(pads, pads[0] @ directions[0] / 3 * directions, atol=1e-5)
     assert np.allclose(2 * library.half_squares, np.sum(library.features**2, axis=1), atol=1e-5)
+
+
+def test_a_problem_that_cannot_be_evaluated_is_not_taken_for_solved(solve, reachable):
+    tips, inward, q = reachable
+    p_wo, R_wo = here(PROBLEMS)
+    start, nowhere = q.copy(), p_wo.copy()
+    start[0, 0], nowhere[1] = np.nan, np.nan
+    found = solve(tips, inward, start, nowhere, R_wo, no_object())
+    assert np.all(np.isinf(found.residual[:2])) and np.all(np.isinf(found.cost[:2]))
+    assert np.asarray(found.residual[2:]).max() < 1e-3

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.selection.config import TargetConfig
 
 
 def _whole_from_1(config: object, *names: str) -> None:
@@ -14,22 +15,6 @@ def _whole_from_1(config: object, *names: str) -> None:
         if getattr(config, name) < 1:
             field = f"{type(config).__name__}.{name}"
             raise InputError(field, getattr(config, name), "a whole number from 1")
-
-
-@dataclass(frozen=True)
-class TargetConfig:
-    """Where the tips are to be when the policy takes over (method §2 'Targets', §4)."""
-
-    thumb_standoff: float = 0.025
-    """distance of the thumb's tip frame from its contact, along the outward normal [m]"""
-    wrap_standoff: float = 0.040
-    """the same for the index and middle finger [m]"""
-    wrap_spread: float = 0.020
-    """half distance between the two wrap targets [m]"""
-    min_axis_angle: float = 0.1
-    """|u × g| below which a reach direction does not spread the wraps [-]"""
-    min_height: float = 0.015
-    """no contact or target lower than this above the table [m]"""
 
 
 @dataclass(frozen=True)
@@ -114,9 +99,9 @@ class HandoffConfig:
     """pre-grasps that may share one heatmap candidate [-]"""
     seed: int = 0
     """of everything random; an object's states do not depend on the other objects"""
-    targets: TargetConfig = TargetConfig()
-    sampling: SamplingConfig = SamplingConfig()
-    ik: IkConfig = IkConfig()
+    targets: TargetConfig = field(default_factory=TargetConfig)
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    ik: IkConfig = field(default_factory=IkConfig)
 
     def __post_init__(self):
         for name in ("per_object", "max_rounds", "max_per_candidate"):

@@ -16,7 +16,7 @@ from mjx_grasp.handoff.clearance import DistanceGrid, distance_grid
 from mjx_grasp.handoff.collision import CollisionChecker
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
-from mjx_grasp.handoff.ik import IkSolution, make_ik, robot_arrays
+from mjx_grasp.handoff.ik import IkSolution, make_ik
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
 from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
@@ -27,6 +27,7 @@ from mjx_grasp.handoff.targets import (
     target_variants,
 )
 from mjx_grasp.heatmap import Heatmap, heatmap_of
+from mjx_grasp.robot.arrays import robot_arrays
 from mjx_grasp.sim.scene import build_scene
 
 if TYPE_CHECKING:

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.geometry.levenberg_marquardt import Linearised, minimise
 from mjx_grasp.geometry.vectors import dot, norm
-from mjx_grasp.handoff.clearance import (
-    HandSpheres,
-    hand_spheres,
-    outside_clearance,
-    own_clearance,
-    sphere_arms,
-)
+from mjx_grasp.handoff.clearance import outside_clearance
 from mjx_grasp.handoff.config import IkConfig
-from mjx_grasp.robot.kinematics import Kinematics
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.arrays import RobotArrays
+from mjx_grasp.robot.spheres import own_clearance, sphere_arms
 
 _FINGERS = 3
 _PALM = 2 * _FINGERS
-_DAMPING_START, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.3, 5.0
-# Added to the diagonal that the damping scales, so that a joint without a lever does not run off.
-_DAMPING_FLOOR = 1e-3
-_DAMPING_RANGE = (1e-7, 1e2)
 
 
 class IkSolution(NamedTuple):
@@ -53,49 +41,12 @@ class IkSolution(NamedTuple):
     cost: Float[np.ndarray, " b"]
 
 
-class RobotArrays(NamedTuple):
-    """What the solver needs of a robot, in the robot's joint order.
+class _Known(NamedTuple):
+    """What a configuration's errors tell beside; as in the solution."""
 
-    Attributes:
-        kinematics: Frames: the three tips, the three pads, the palm, then the bodies that carry
-            the spheres.
-        lower, upper: ``[joints]`` position limits in [rad].
-        nominal: ``[joints]`` home with the hand open, [rad].
-        solved: ``[joints]`` whether a joint is solved for; the others stay nominal.
-        arm: ``[joints]`` whether a joint is the arm's.
-        approach_axis: ``[3]`` the palm's approach direction in its frame.
-        spheres: The hand's shape; its frames count from the first sphere body.
-    """
-
-    kinematics: Kinematics
-    lower: np.ndarray
-    upper: np.ndarray
-    nominal: np.ndarray
-    solved: np.ndarray
-    arm: np.ndarray
-    approach_axis: np.ndarray
-    spheres: HandSpheres
-
-
-def robot_arrays(robot: RobotSpec) -> RobotArrays:
-    """Limits, postures, shape and kinematics of arm and hand, from the robot's MJCF."""
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    fingers = robot.hand.fingers
-    sites = [f.tip_site for f in fingers] + [f.pad_site for f in fingers]
-    bodies = [robot.hand.palm_body, *(body for f in fingers for body in f.bodies)]
-    joints = [model.joint(name) for name in robot.joints]
-    driven = set(robot.arm.joints).union(*(f.joints for f in fingers))
-    addresses = np.array([int(j.qposadr[0]) for j in joints])
-    return RobotArrays(
-        kinematics=Kinematics.from_model(model, [*sites, robot.hand.palm_site], bodies),
-        lower=np.array([j.range[0] for j in joints]),
-        upper=np.array([j.range[1] for j in joints]),
-        nominal=np.array(robot.home),
-        solved=np.array([name in driven for name in robot.joints]),
-        arm=np.array([name in robot.arm.joints for name in robot.joints]),
-        approach_axis=np.array(robot.hand.approach_axis),
-        spheres=hand_spheres(model, robot, addresses, bodies),
-    )
+    residual: Float[Array, " 3"]
+    pad_angle: Float[Array, " 3"]
+    approach: Float[Array, " 3"]
 
 
 def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
@@ -107,10 +58,10 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
     ``Σ |x_tip − target|² + (w_o |n_pad − inward|)² + (w_p |q − q_nominal|)² + (w_c · missing)²``
 
     with a fixed number of Levenberg–Marquardt steps; *missing* is what a sphere of the hand lacks
-    in clearance from object and table, and what it lacks from the other fingers. Joints pushed
-    against a limit leave the step, so that the others make up for them. Targets are standoff
-    positions of the tip frames' origins and unit inward directions, world frame; the grid is the
-    object's, posed by ``p_wo, R_wo``.
+    in clearance from object and table, and what it lacks from the other fingers. Targets are
+    standoff positions of the tip frames' origins and unit inward directions, world frame; the grid
+    is the object's, posed by ``p_wo, R_wo``. Where nothing can be evaluated, residuals and cost
+    are infinite.
 
     Args:
         arrays: The robot.
@@ -122,75 +73,45 @@ def make_ik(arrays: RobotArrays, config: IkConfig) -> Callable[..., IkSolution]:
     lower = np.asarray(arrays.lower + margin, np.float32)[columns]
     upper = np.asarray(arrays.upper - margin, np.float32)[columns]
     nominal = np.asarray(arrays.nominal, np.float32)
-    w_o, w_p, w_c = config.orientation_weight, config.posture_weight, config.clearance_weight
+    pull = np.full(len(columns), config.posture_weight, np.float32)
+    w_o, w_c = config.orientation_weight, config.clearance_weight
     carrier = spheres.frame + _PALM + 1
     reach = np.tile(np.asarray(spheres.radius + config.clearance, np.float32), 2)
 
     def full(x):
         return jnp.asarray(nominal).at[columns].set(x)
 
-    def errors(x, problem):
-        """Weighted residuals of tips, pads and clearance, and what their Jacobian needs."""
-        targets, inward, p_wo, R_wo, grid = problem
-        pos, mat = kin.forward(full(x))
-        pads = mat[_FINGERS:_PALM, :, 0]
-        arm = sphere_arms(spheres, mat[_PALM + 1 :])
-        centre = pos[carrier] + arm
-        distance, away = outside_clearance(grid, centre, p_wo, R_wo)
-        own_distance, own_away = own_clearance(spheres, centre)
-        missing = jnp.maximum(reach - jnp.concatenate([distance, own_distance]), 0.0)
-        away = jnp.where(missing[:, None] > 0, jnp.concatenate([away, own_away]), 0.0)
-        parts = pos[:_FINGERS] - targets, w_o * (pads - inward), w_c * missing
-        return jnp.concatenate([part.reshape(-1) for part in parts]), pads, arm, away
-
-    def objective(x, problem):
-        posture = w_p * (x - nominal[columns])
-        return jnp.sum(errors(x, problem)[0] ** 2) + jnp.sum(posture**2)
-
-    def step(_, state, problem):
-        x, cost, damping = state
-        residual, pads, arm, away = errors(x, problem)
-        jacobian = kin.jacobian(full(x))[:, :, columns]
-        # d(n_pad) = ω × n_pad, and a sphere's clearance changes by −away · (v + ω × arm).
-        turning = jacobian[_FINGERS:_PALM, 3:]
-        swing = w_o * jnp.cross(turning, pads[:, :, None], axisa=1, axisb=1, axisc=1)
-        wrench = jnp.concatenate([away, jnp.cross(jnp.tile(arm, (2, 1)), away)], axis=-1)
-        closing = -w_c * jnp.einsum("sk,skj->sj", wrench, jacobian[np.tile(carrier, 2)])
-        rows = [jacobian[:_FINGERS, :3].reshape(9, -1), swing.reshape(9, -1), closing]
-        rows = jnp.concatenate(rows, axis=0)
-        gradient = rows.T @ residual + w_p**2 * (x - nominal[columns])
-        stuck = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = jnp.where(stuck, 0.0, 1.0)
-        rows = rows * free
-        hessian = rows.T @ rows + w_p**2 * jnp.eye(len(columns))
-        hessian = hessian + damping * jnp.diag(jnp.diag(hessian) + _DAMPING_FLOOR)
-        move = cho_solve(cho_factor(hessian), gradient * free)
-        trial = jnp.clip(x - move, lower, upper)
-        trial_cost = objective(trial, problem)
-        better = trial_cost < cost
-        damping = damping * jnp.where(better, _DAMPING_FALL, _DAMPING_RISE)
-        return (
-            jnp.where(better, trial, x),
-            jnp.where(better, trial_cost, cost),
-            jnp.clip(damping, *_DAMPING_RANGE),
-        )
-
     def solve_one(targets, inward, start, p_wo, R_wo, grid):
-        problem = targets, inward, p_wo, R_wo, grid
-        x = jnp.clip(start[columns], lower, upper)
-        state = (x, objective(x, problem), jnp.float32(_DAMPING_START))
-        body = partial(step, problem=problem)
-        x, cost, _ = jax.lax.fori_loop(0, config.iterations, body, state)
-        q = full(x)
-        pos, mat = kin.forward(q)
-        cosine = dot(mat[_FINGERS:_PALM, :, 0], inward)
+        def linearise(x) -> Linearised:
+            pos, mat = kin.forward(full(x))
+            jacobian = kin.jacobian(full(x))[:, :, columns]
+            pads = mat[_FINGERS:_PALM, :, 0]
+            arm = sphere_arms(spheres, mat[_PALM + 1 :])
+            centre = pos[carrier] + arm
+            distance, away = outside_clearance(grid, centre, p_wo, R_wo)
+            own_distance, own_away = own_clearance(spheres, centre)
+            missing = jnp.maximum(reach - jnp.concatenate([distance, own_distance]), 0.0)
+            away = jnp.where(missing[:, None] > 0, jnp.concatenate([away, own_away]), 0.0)
+            errors = pos[:_FINGERS] - targets, w_o * (pads - inward), w_c * missing
+            # d(n_pad) = ω × n_pad, and a sphere's clearance changes by −away · (v + ω × arm).
+            turning = jacobian[_FINGERS:_PALM, 3:]
+            swing = w_o * jnp.cross(turning, pads[:, :, None], axisa=1, axisb=1, axisc=1)
+            wrench = jnp.concatenate([away, jnp.cross(jnp.tile(arm, (2, 1)), away)], axis=-1)
+            closing = -w_c * jnp.einsum("sk,skj->sj", wrench, jacobian[np.tile(carrier, 2)])
+            rows = jacobian[:_FINGERS, :3].reshape(9, -1), swing.reshape(9, -1), closing
+            known = _Known(
+                residual=norm(pos[:_FINGERS] - targets),
+                pad_angle=jnp.arccos(jnp.clip(dot(pads, inward), -1.0, 1.0)),
+                approach=mat[_PALM] @ jnp.float32(arrays.approach_axis),
+            )
+            flat = jnp.concatenate([part.reshape(-1) for part in errors])
+            return Linearised(flat, jnp.concatenate(rows), known)
+
+        best = minimise(
+            linearise, start[columns], lower, upper, pull, nominal[columns], config.iterations
+        )
         return IkSolution(
-            q=q,
-            residual=norm(pos[:_FINGERS] - targets),
-            pad_angle=jnp.arccos(jnp.clip(cosine, -1.0, 1.0)),
-            approach=mat[_PALM] @ jnp.float32(arrays.approach_axis),
-            at_limit=jnp.any((x <= lower) | (x >= upper)),
-            cost=cost,
+            q=full(best.x), **best.known._asdict(), at_limit=best.at_bound, cost=best.cost
         )
 
     @jax.jit

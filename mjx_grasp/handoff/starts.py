@@ -1,4 +1,4 @@
-"""A library of grasp-like configurations over the table, from which the IK starts are taken."""
+"""Which grasp-like configurations the IK starts from: a library of them, and the choice."""
 
 from __future__ import annotations
 
@@ -10,29 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import dot, unit
-from mjx_grasp.handoff.clearance import (
-    DistanceGrid,
-    outside_clearance,
-    own_clearance,
-    sphere_arms,
-)
+from mjx_grasp.handoff.clearance import DistanceGrid, outside_clearance
 from mjx_grasp.handoff.config import SamplingConfig
-from mjx_grasp.handoff.ik import RobotArrays
+from mjx_grasp.robot.arrays import RobotArrays
+from mjx_grasp.robot.postures import draw_postures
 
-_BATCH = 16_384
-# Of the frames: three tips, three pads and the palm come before the bodies with spheres.
-_FIRST_BODY = 7
-_FEW = 1024
-_MAX_BATCHES = 400
-# What counts as grasp-like: thumb pad against wrap pads, wraps side by side, tips apart as at the
-# standoffs of the hand's span. Wide, for these are starts only.
-_MAX_OPPOSING_COSINE = -0.3
-_WRAP_GAP = (0.015, 0.075)
-_TIP_SPAN = (0.06, 0.18)
-_LOWEST_TIP, _HIGHEST_TIP, _LOWEST_PALM = 0.02, 0.40, 0.05
-_MARGIN_XY = 0.12
 # A difference of pad directions counts as much as tips this far off.
 _DIRECTION_SCALE = 0.05
 _QUERY_TILE = 64
@@ -66,26 +49,10 @@ def _features(tips, directions):
     )
 
 
-def _grasp_like(tips, pads):
-    gap = jnp.linalg.norm(tips[:, 1] - tips[:, 2], axis=-1)
-    span = jnp.linalg.norm(tips[:, 0] - 0.5 * (tips[:, 1] + tips[:, 2]), axis=-1)
-    opposing = jnp.sum(pads[:, :1] * pads[:, 1:], axis=-1).max(axis=-1)
-    return (
-        (opposing < _MAX_OPPOSING_COSINE)
-        & (gap > _WRAP_GAP[0])
-        & (gap < _WRAP_GAP[1])
-        & (span > _TIP_SPAN[0])
-        & (span < _TIP_SPAN[1])
-    )
-
-
 def build_library(
     arrays: RobotArrays, size: int, sampling: SamplingConfig, seed: int
 ) -> StartLibrary:
-    """Draws configurations with the hand over the object area and the fingers about to grasp.
-
-    First hand postures alone, whose pads face each other; then arm postures joined with them,
-    kept where tips and palm are above the table in the object area.
+    """Draws configurations about to grasp something in the object area, and their features.
 
     Args:
         arrays: The robot.
@@ -96,83 +63,16 @@ def build_library(
     Raises:
         InputError: The robot does not reach the object area.
     """
-    forward = jax.jit(jax.vmap(arrays.kinematics.forward))
-    rng = np.random.default_rng([seed, 1])
-    lower, upper = arrays.lower, arrays.upper
-    hand = arrays.solved & ~arrays.arm
+    q = draw_postures(arrays, size, sampling.x_range, sampling.y_range, seed)
 
     @jax.jit
     @jax.vmap
-    def fingers_apart(pos, mat):
-        centre = pos[arrays.spheres.frame + _FIRST_BODY] + sphere_arms(
-            arrays.spheres, mat[_FIRST_BODY:]
-        )
-        return jnp.all(own_clearance(arrays.spheres, centre)[0] >= arrays.spheres.radius)
+    def features(q):
+        pos, mat = arrays.kinematics.forward(q)
+        return _features(pos[:3], mat[3:6, :, 0])
 
-    def opposed_and_apart(pos, mat):
-        good = np.array(_grasp_like(pos[:, :3], mat[:, 3:6, :, 0]))
-        # Few are left: the costlier question is asked of them alone, in one size.
-        left = np.flatnonzero(good)[:_FEW]
-        asked = np.resize(left, _FEW) if len(left) else np.zeros(_FEW, int)
-        good[:] = False
-        good[left] = np.asarray(fingers_apart(pos[asked], mat[asked]))[: len(left)]
-        return good
-
-    def draw(columns):
-        q = np.tile(arrays.nominal, (_BATCH, 1))
-        q[:, columns] = rng.uniform(lower[columns], upper[columns], (_BATCH, columns.sum()))
-        return q
-
-    def collected(wanted, sample, keep, what):
-        kept, count = [], 0
-        for _ in range(_MAX_BATCHES):
-            q = sample()
-            pos, mat = forward(np.asarray(q, np.float32))
-            good = q[np.asarray(keep(pos, mat))]
-            kept.append(good)
-            count += len(good)
-            if count >= wanted:
-                return np.concatenate(kept)[:wanted]
-        raise InputError("robot", f"{count} {what} in {_MAX_BATCHES * _BATCH} draws", "more")
-
-    postures = collected(
-        max(size // 10, 500),
-        lambda: draw(hand),
-        opposed_and_apart,
-        "hand postures with thumb and wraps opposed",
-    )
-
-    def sample():
-        q = draw(arrays.arm)
-        q[:, hand] = postures[rng.integers(len(postures), size=_BATCH)][:, hand]
-        return q
-
-    def over_table(pos, mat):
-        tips, palm = pos[:, :3], pos[:, 6]
-        middle = tips.mean(axis=1)
-        (x0, x1), (y0, y1) = sampling.x_range, sampling.y_range
-        return (
-            (middle[:, 0] > x0 - _MARGIN_XY)
-            & (middle[:, 0] < x1 + _MARGIN_XY)
-            & (middle[:, 1] > y0 - _MARGIN_XY)
-            & (middle[:, 1] < y1 + _MARGIN_XY)
-            & (tips[:, :, 2].min(axis=1) > _LOWEST_TIP)
-            & (middle[:, 2] < _HIGHEST_TIP)
-            & (palm[:, 2] > _LOWEST_PALM)
-        )
-
-    q = collected(size, sample, over_table, "arm postures over the object area")
-    features = []
-    for part in np.array_split(np.asarray(q, np.float32), -(-len(q) // _BATCH)):
-        pos, mat = forward(_filled(part))
-        features.append(np.asarray(_features(pos[:, :3], mat[:, 3:6, :, 0]))[: len(part)])
-    rows = np.concatenate(features)
-    return StartLibrary(np.asarray(q, np.float32), rows, 0.5 * np.sum(rows * rows, axis=-1))
-
-
-def _filled(part: np.ndarray) -> np.ndarray:
-    """Padded to the batch that is compiled already."""
-    return np.concatenate([part, np.repeat(part[:1], _BATCH - len(part), axis=0)])
+    rows = np.asarray(features(q))
+    return StartLibrary(q, rows, 0.5 * np.sum(rows * rows, axis=-1))
 
 
 @jax.jit
@@ -212,7 +112,7 @@ def make_ranking(arrays: RobotArrays, clearance: float) -> Callable[..., Float[A
 
     def lacking(q, goals, p_wo, R_wo, grid):
         pos, mat = arrays.kinematics.forward(q)
-        centre = pos[spheres.frame + _FIRST_BODY] + sphere_arms(spheres, mat[_FIRST_BODY:])
+        centre = arrays.sphere_centres(pos, mat)
         origin, frame = _tip_frame(pos[:3])
         goal_origin, goal_frame = _tip_frame(goals)
         moved = goal_origin + ((centre - origin) @ frame) @ goal_frame.T

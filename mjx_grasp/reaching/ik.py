@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
+from mjx_grasp.geometry.levenberg_marquardt import Linearised, minimise
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.command import (
@@ -25,12 +24,9 @@ from mjx_grasp.reaching.command import (
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.surroundings import Surroundings
 
-_DAMPING_START, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.3, 5.0
-_DAMPING_FLOOR, _DAMPING_RANGE = 1e-3, (1e-7, 1e2)
-
 
 @dataclass(frozen=True)
-class IkConfig:
+class PlanIkConfig:
     """Settings of the solver."""
 
     iterations: int = 30
@@ -45,7 +41,7 @@ class IkConfig:
     """missing clearance against tip errors [m/m]"""
 
 
-class IkSolution(NamedTuple):
+class PlanIkSolution(NamedTuple):
     """What the solver found.
 
     Attributes:
@@ -63,13 +59,9 @@ class IkSolution(NamedTuple):
     at_limit: Array
 
 
-class _Evaluation(NamedTuple):
-    """A configuration and what its errors are."""
+class _Known(NamedTuple):
+    """What a configuration's errors tell beside."""
 
-    q: Float[Array, " joints"]
-    cost: Float[Array, ""]
-    gradient: Float[Array, " joints"]
-    rows: Float[Array, "n joints"]  # the Jacobian, without the posture's diagonal
     error: Float[Array, " 3"]
     missing: Float[Array, ""]
     distance: Float[Array, ""]  # the least of all
@@ -78,16 +70,17 @@ class _Evaluation(NamedTuple):
 def solve_ik(
     body: ReachBody,
     config: ReachConfig,
-    ik: IkConfig,
+    ik: PlanIkConfig,
     goals: Float[Array, "3 3"],
     pads: Float[Array, "3 3"],
     around: Surroundings,
     start: Float[Array, " joints"],
     reference: Float[Array, " joints"],
-) -> IkSolution:
+) -> PlanIkSolution:
     """Minimises ``Σ|x_tip − goal|² + (w_o|n_pad − n*|)² + (w_c·missing)² + Σ(w_p(q − q_ref))²``.
 
-    Joints pushed against a limit leave the step, so that the others make up for them.
+    Within the joint limits less their margin. What cannot be evaluated is no solution: its error,
+    and all that it lacks, is infinite.
 
     Args:
         body: The robot.
@@ -105,14 +98,14 @@ def solve_ik(
     busy = body.arm | body.grasping
     w_posture = jnp.where(jnp.asarray(busy), ik.posture_weight, ik.idle_weight)
 
-    def evaluated(q) -> _Evaluation:
+    def linearise(q) -> Linearised:
         motion = body.kinematics.motion(q)
         slope, bound, near = half_spaces(body, motion, around, _unbounded(config))
         missing = jnp.maximum(bound * horizon, 0.0)
         tips, normals = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
         turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
         swing = jnp.cross(turning, normals[:, :, None], axisa=1, axisb=1, axisc=1)
-        residual = (
+        errors = (
             (tips - goals).reshape(-1),
             ik.orientation_weight * (normals - pads).reshape(-1),
             ik.clearance_weight * missing,
@@ -122,48 +115,20 @@ def solve_ik(
             ik.orientation_weight * swing.reshape(3 * FINGERS, -1),
             jnp.where(missing[:, None] > 0, -ik.clearance_weight * slope, 0.0),
         )
-        posture, errors = w_posture * (q - reference), jnp.concatenate(residual)
-        return _Evaluation(
-            q=q,
-            cost=jnp.sum(errors**2) + jnp.sum(posture**2),
-            gradient=jnp.concatenate(rows).T @ errors + w_posture * posture,
-            rows=jnp.concatenate(rows),
+        known = _Known(
             error=norm(tips - goals),
             missing=jnp.max(missing),
             distance=jnp.min(jnp.concatenate([part.distance for part in near.values()])),
         )
+        return Linearised(jnp.concatenate(errors), jnp.concatenate(rows), known)
 
-    def next_trial(at: _Evaluation, damping):
-        stuck = (at.q <= lower) & (at.gradient > 0) | (at.q >= upper) & (at.gradient < 0)
-        free = jnp.where(stuck, 0.0, 1.0)
-        rows = at.rows * free
-        hessian = rows.T @ rows + jnp.diag(w_posture**2)
-        hessian = hessian + damping * jnp.diag(jnp.diag(hessian) + _DAMPING_FLOOR)
-        return jnp.clip(at.q - cho_solve(cho_factor(hessian), at.gradient * free), lower, upper)
-
-    def step(_, state):
-        best, damping, trial = state
-        new = evaluated(trial)
-        better = new.cost < best.cost
-        best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, best)
-        factor = jnp.where(better, _DAMPING_FALL, _DAMPING_RISE)
-        damping = jnp.clip(damping * factor, *_DAMPING_RANGE)
-        return best, damping, next_trial(best, damping)
-
-    # The start is the first trial: distances, which are most of the work and of what has to be
-    # compiled, are evaluated in one place and once a step.
-    start = jnp.clip(start, lower, upper)
-    unsolved = jax.tree.map(
-        lambda a: jnp.full(a.shape, jnp.inf, a.dtype), jax.eval_shape(evaluated, start)
-    )
-    state = unsolved._replace(q=start), jnp.float32(_DAMPING_START / _DAMPING_FALL), start
-    best, _, _ = jax.lax.fori_loop(0, ik.iterations + 1, step, state)
-    return IkSolution(
-        q=best.q,
-        error=best.error,
-        missing=best.missing,
-        penetration=jnp.maximum(-best.distance, 0.0),
-        at_limit=jnp.any((best.q <= lower) | (best.q >= upper)),
+    best = minimise(linearise, start, lower, upper, w_posture, reference, ik.iterations)
+    return PlanIkSolution(
+        q=best.x,
+        error=best.known.error,
+        missing=best.known.missing,
+        penetration=jnp.maximum(-best.known.distance, 0.0),
+        at_limit=best.at_bound,
     )
 
 

@@ -17,16 +17,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import dot, norm, unit
-from mjx_grasp.handoff.config import SamplingConfig
-from mjx_grasp.handoff.ik import robot_arrays
-from mjx_grasp.handoff.starts import build_library
 from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.reaching.ik import IkConfig, IkSolution, solve_ik
+from mjx_grasp.reaching.ik import PlanIkConfig, PlanIkSolution, solve_ik
+from mjx_grasp.reaching.poses import PoseDistribution
 from mjx_grasp.reaching.surroundings import Surroundings
+from mjx_grasp.robot.arrays import robot_arrays
+from mjx_grasp.robot.postures import draw_postures
 from mjx_grasp.selection.candidates import Candidates
 from mjx_grasp.selection.config import SelectionConfig
 
@@ -58,7 +58,7 @@ class PlanConfig:
     """largest tip error of a solution to be reached for [m]"""
     seed: int = 0
     """of the library"""
-    ik: IkConfig = field(default_factory=IkConfig)
+    ik: PlanIkConfig = field(default_factory=PlanIkConfig)
 
 
 class Library(NamedTuple):
@@ -100,8 +100,8 @@ def start_library(body: ReachBody, config: PlanConfig) -> Library:
     Raises:
         InputError: The robot does not reach the object area.
     """
-    arrays = robot_arrays(body.robot)
-    q = build_library(arrays, config.library, SamplingConfig(), config.seed).q
+    arrays, area = robot_arrays(body.robot), PoseDistribution()
+    q = draw_postures(arrays, config.library, area.x, area.y, config.seed)
 
     @jax.jit
     @jax.vmap
@@ -243,7 +243,7 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
         goals, pads, home = options.goals[option], options.pads[option], jnp.asarray(body.home)
         return solve_ik(body, config, plan.ik, goals, pads, around, start, home)
 
-    found: IkSolution = jax.vmap(attempt)(option, start)
+    found: PlanIkSolution = jax.vmap(attempt)(option, start)
     cost = _costs(body, plan, options.admissible[option], found, q)
     kept = _different(body, plan, found.q, cost)
 
@@ -293,7 +293,7 @@ def _guide(body, config, plan, options, option, q, around, known) -> Guide:
     )
 
 
-def _costs(body, plan, admissible, found: IkSolution, q) -> Float[Array, " n"]:
+def _costs(body, plan, admissible, found: PlanIkSolution, q) -> Float[Array, " n"]:
     """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
     time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
     error = jnp.max(found.error, axis=1)

@@ -8,6 +8,22 @@ from mjx_grasp.errors import InputError
 
 
 @dataclass(frozen=True)
+class TargetConfig:
+    """Where the tips are to be when the policy takes over (method §2 'Targets', §4)."""
+
+    thumb_standoff: float = 0.025
+    """distance of the thumb's tip frame from its contact, along the outward normal [m]"""
+    wrap_standoff: float = 0.040
+    """the same for the index and middle finger [m]"""
+    wrap_spread: float = 0.020
+    """half distance between the two wrap targets [m]"""
+    min_axis_angle: float = 0.1
+    """|u × g| below which a reach direction does not spread the wraps [-]"""
+    min_height: float = 0.015
+    """no contact or target lower than this above the table [m]"""
+
+
+@dataclass(frozen=True)
 class SelectionConfig:
     """Weights, rejections and hysteresis (method §2)."""
 

@@ -3,17 +3,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjx_grasp.handoff.clearance import (
-    DistanceGrid,
-    distance_and_gradient,
-    distance_grid,
-    own_clearance,
-    sphere_arms,
-)
+from mjx_grasp.handoff.clearance import DistanceGrid, distance_and_gradient, distance_grid
 from mjx_grasp.handoff.config import IkConfig, SamplingConfig
-from mjx_grasp.handoff.ik import make_ik, robot_arrays
+from mjx_grasp.handoff.ik import make_ik
 from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
 from mjx_grasp.objects.convex import Piece
+from mjx_grasp.robot.arrays import robot_arrays
 from mjx_grasp.robot.spec import load_robot
 
 PROBLEMS, RESTARTS = 96, 6
@@ -124,39 +119,6 @@ def test_a_start_at_the_solution_stays_and_an_unreachable_target_says_so(solve, 
     assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in far)
 
 
-def spheres_at(arrays, q):
-    pos, mat = jax.vmap(arrays.kinematics.forward)(q)
-    pos, mat = np.asarray(pos)[:, 7:], mat[:, 7:]
-    return pos[:, arrays.spheres.frame] + np.asarray(sphere_arms(arrays.spheres, mat))
-
-
-def test_the_hands_spheres_lie_inside_its_shapes(arrays, reachable):
-    robot = load_robot()
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    data = mujoco.MjData(model)
-    palm = model.body(robot.hand.palm_body).id
-    centres = spheres_at(arrays, reachable[2])
-    for k in range(0, PROBLEMS, 19):
-        data.qpos[:] = reachable[2][k]
-        mujoco.mj_kinematics(model, data)
-        best = np.full(len(arrays.spheres.radius), np.inf)
-        for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
-            while body not in (palm, 0):
-                body = int(model.body_parentid[body])
-            if body == 0:
-                continue
-            local = (centres[k] - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
-            size = model.geom_size[geom]
-            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-                beyond = np.maximum(np.abs(local[:, 2]) - size[1], 0)
-                outside = np.hypot(np.linalg.norm(local[:, :2], axis=1), beyond) - size[0]
-            else:
-                outside = (np.abs(local) - size).max(axis=1)
-            best = np.minimum(best, outside + arrays.spheres.radius)
-        assert best.max() < 1e-5
-
-
 def box_piece(half):
     corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * half
     return Piece("hull", corners.mean(axis=0), 0.0, corners)
@@ -183,25 +145,10 @@ def test_grid_distances_of_sphere_and_box():
     assert np.median(np.abs(distance - expected)) < 5e-4
 
 
-def test_own_clearance_is_the_distance_to_the_nearest_foreign_sphere(arrays, reachable):
-    spheres = arrays.spheres
-    for centre in spheres_at(arrays, reachable[2][:5]):
-        distance, away = map(np.asarray, own_clearance(spheres, np.float32(centre)))
-        gap = np.linalg.norm(centre[:, None] - centre, axis=-1) - spheres.radius
-        gap[~spheres.apart] = np.inf
-        assert np.allclose(distance, np.minimum(gap.min(axis=1), 1.0), atol=1e-5)
-        nearest = gap.argmin(axis=1)
-        direction = centre - centre[nearest]
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        known = np.isfinite(gap.min(axis=1))
-        assert known.sum() > 30
-        assert np.allclose(away[known], direction[known], atol=1e-3)
-
-
 def penetration(arrays, q, p_wo, grid):
-    centre = spheres_at(arrays, q)
+    centre = jax.vmap(arrays.sphere_centres)(*jax.vmap(arrays.kinematics.forward)(q))
     found = []
-    for points, origin in zip(centre, p_wo, strict=True):
+    for points, origin in zip(np.asarray(centre), p_wo, strict=True):
         distance, _ = distance_and_gradient(grid, np.float32(points - origin))
         distance = np.minimum(distance, points[:, 2])
         found.append(np.maximum(arrays.spheres.radius - distance, 0).max())
@@ -234,13 +181,20 @@ def test_problems_of_a_batch_do_not_touch_each_other(solve, starts, reachable):
     assert same.mean() > 0.95
 
 
-def test_the_library_is_over_the_table_and_depends_on_its_seed_alone(arrays, library, reachable):
-    pos, mat = jax.vmap(arrays.kinematics.forward)(library.q)
-    tips, pads = np.asarray(pos[:, :3]), np.asarray(mat[:, 3:6, :, 0])
-    assert tips[:, :, 2].min() > 0.02
-    assert np.all(np.sum(pads[:, :1] * pads[:, 1:], axis=-1) < -0.29)
-    assert np.all(library.q >= arrays.lower - 1e-6) and np.all(library.q <= arrays.upper + 1e-6)
-    assert np.allclose(library.features[:, :9], tips.reshape(-1, 9), atol=1e-5)
-    again = build_library(arrays, PROBLEMS, SamplingConfig(), seed=1)
-    assert np.array_equal(again.q, reachable[2])
-    assert not np.array_equal(again.q, library.q[:PROBLEMS])
+def test_the_library_knows_where_its_configurations_put_tips_and_pads(arrays, library):
+    pos, mat = map(np.asarray, jax.vmap(arrays.kinematics.forward)(library.q))
+    tips, pads = library.features[:, :9], library.features[:, 9:]
+    assert np.allclose(tips, pos[:, :3].reshape(-1, 9), atol=1e-5)
+    directions = mat[:, 3:6, :, 0].reshape(-1, 9)
+    assert np.allclose(pads, pads[0] @ directions[0] / 3 * directions, atol=1e-5)
+    assert np.allclose(2 * library.half_squares, np.sum(library.features**2, axis=1), atol=1e-5)
+
+
+def test_a_problem_that_cannot_be_evaluated_is_not_taken_for_solved(solve, reachable):
+    tips, inward, q = reachable
+    p_wo, R_wo = here(PROBLEMS)
+    start, nowhere = q.copy(), p_wo.copy()
+    start[0, 0], nowhere[1] = np.nan, np.nan
+    found = solve(tips, inward, start, nowhere, R_wo, no_object())
+    assert np.all(np.isinf(found.residual[:2])) and np.all(np.isinf(found.cost[:2]))
+    assert np.asarray(found.residual[2:]).max() < 1e-3

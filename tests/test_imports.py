@@ -14,13 +14,7 @@ ORDER = (
 """Each package imports from itself and from those before it."""
 LAST = 1 + len(ORDER)
 """The rank of the commands."""
-EXCEPTIONS = {
-    # Reaching solves for postures with parts of handoff's search, which belong before both.
-    ("mjx_grasp.reaching.config", "mjx_grasp.handoff.config"),
-    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.config"),
-    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.ik"),
-    ("mjx_grasp.reaching.planning", "mjx_grasp.handoff.starts"),
-}
+EXCEPTIONS: set[tuple[str, str]] = set()
 """Who imports what against the order, and why that is so for now."""
 
 

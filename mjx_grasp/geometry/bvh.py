@@ -10,7 +10,6 @@ A query runs in the thread that calls it, on a CPU on one core: call for parts o
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections.abc import Sequence
 from typing import Any
@@ -21,8 +20,8 @@ import warp as wp
 from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry import bvh_kernels, face_blocks_kernel
-from mjx_grasp.geometry.face_blocks import WIDTH, face_blocks
-from mjx_grasp.geometry.warp_device import device, launch, load, put, start
+from mjx_grasp.geometry.face_blocks import WIDTH, FaceBlocks, face_blocks
+from mjx_grasp.geometry.warp_device import device, launch, load, once, put, start
 
 # Centroids in a leaf of their tree: fewer are found no faster, and take longer to build.
 _CENTROIDS_PER_LEAF = 8
@@ -48,39 +47,17 @@ class MeshTrees:
         load(bvh_kernels)
         if device().is_cpu:
             load(face_blocks_kernel)
-        self._built = [start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
-        self._grouped = [
+        built = [start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
+        grouped = [
             start(face_blocks, p, f) for p, f in zip(points, faces, strict=True) if device().is_cpu
         ]
-        self.counts = [len(f) for f in faces]
+        counts = self.counts = [len(f) for f in faces]
+        self._meshes = once(lambda: _with_ids([mesh() for mesh in built]))
+        # What the search on a CPU takes first.
+        self._blocks = once(lambda: _blocks([blocks() for blocks in grouped], counts))
         diagonals = [np.linalg.norm(np.ptp(p, axis=0)) for p in points]
         self.first_face = put(_starts(self.counts), wp.int32)
         self.diagonal = put(np.asarray(diagonals, np.float32), wp.float32)
-
-    @functools.cached_property
-    def _meshes(self) -> tuple[list[wp.Mesh], wp.array]:
-        meshes = [built() for built in self._built]
-        return meshes, _ids(meshes)
-
-    @functools.cached_property
-    def _blocks(self) -> list[wp.array]:
-        """What the search on a CPU takes first."""
-        found = [grouped() for grouped in self._grouped]
-        slots = _starts([len(x.face) for x in found])
-        face_of_slot = np.concatenate(
-            [x.face + first for x, first in zip(found, _starts(self.counts), strict=True)]
-        )
-        slot_of_face = np.empty(sum(self.counts), np.int32)
-        slot_of_face[face_of_slot] = np.arange(len(face_of_slot))
-        integers = [_starts([len(x.first) for x in found]), slots // WIDTH]
-        return [
-            *(put(x, wp.int32) for x in integers),
-            put(np.concatenate([x.boxes for x in found]).ravel(), wp.float32),
-            put(np.concatenate([x.first for x in found]), wp.int32),
-            put(np.concatenate([x.blocks for x in found]).ravel(), wp.float32),
-            put(face_of_slot.astype(np.int32), wp.int32),
-            put(slot_of_face, wp.int32),
-        ]
 
     def farthest_faces(
         self,
@@ -96,7 +73,7 @@ class MeshTrees:
             directions: Ray directions, unit.
         """
         out = wp.empty(len(owner), dtype=wp.int32, device=device())
-        inputs = [self._meshes[1], self.first_face, self.diagonal]
+        inputs = [self._meshes()[1], self.first_face, self.diagonal]
         inputs += [*map(_take, (owner, origins, directions)), out]
         launch(bvh_kernels.farthest, len(owner), inputs)
         return wp.to_jax(out)
@@ -123,9 +100,9 @@ class MeshTrees:
         out = wp.empty(len(points), dtype=wp.int32, device=device())
         asked = [*map(_take, (owner, points, near)), sides, len(owner), length, out]
         if device().is_cpu:
-            launch(face_blocks_kernel.nearest, (sides, count), [*self._blocks, *asked])
+            launch(face_blocks_kernel.nearest, (sides, count), [*self._blocks(), *asked])
         else:
-            trees = [self._meshes[1], self.first_face, self.diagonal]
+            trees = [self._meshes()[1], self.first_face, self.diagonal]
             launch(bvh_kernels.nearest, (sides, count), [*trees, *asked])
         return wp.to_jax(out)
 
@@ -155,16 +132,13 @@ class FaceGrids:
         self._of = trees
         self._faces = [*map(_take, (centroids, face_normals, areas))]
         ends = itertools.accumulate(trees.counts)
-        self._own = [self._faces[0][e - n : e] for e, n in zip(ends, trees.counts, strict=True)]
+        own = [self._faces[0][e - n : e] for e, n in zip(ends, trees.counts, strict=True)]
         self._radius, self._min_faces = float(radius), int(min_faces)
-        self._grids = [_grid(own, self._radius) for own in self._own]
-        self._grid_ids = _ids(self._grids)
-
-    @functools.cached_property
-    def _trees(self) -> tuple[list[wp.Bvh], wp.array]:
-        """For what lies far from any faces; few meshes need them."""
-        trees = [wp.Bvh(own, own, leaf_size=_CENTROIDS_PER_LEAF) for own in self._own]
-        return trees, _ids(trees)
+        self._grids, self._grid_ids = _with_ids([_grid(x, self._radius) for x in own])
+        # For what lies far from any faces; few meshes need them.
+        self._trees = once(
+            lambda: _with_ids([wp.Bvh(x, x, leaf_size=_CENTROIDS_PER_LEAF) for x in own])
+        )
 
     def normal_spread(
         self,
@@ -190,7 +164,7 @@ class FaceGrids:
         launch(bvh_kernels.spread, count, inputs)
         few = np.flatnonzero(found.numpy()[:count] < self._min_faces).astype(np.int32)
         if len(few):
-            inputs = [put(few, wp.int32), self._trees[1], self._of.first_face, self._of.diagonal]
+            inputs = [put(few, wp.int32), self._trees()[1], self._of.first_face, self._of.diagonal]
             inputs += [*asked, self._radius, self._min_faces, out]
             launch(bvh_kernels.wider_spread, len(few), inputs)
         return wp.to_jax(out)
@@ -210,8 +184,27 @@ def _starts(counts: Sequence[int]) -> np.ndarray:
     return np.cumsum([0, *counts[:-1]], dtype=np.int32)
 
 
-def _ids(items: Sequence[Any]) -> wp.array:
-    return put(np.array([item.id for item in items], np.uint64), wp.uint64)
+def _with_ids(items: list[Any]) -> tuple[list[Any], wp.array]:
+    """The items, which live as long as they are held, and what kernels know them by."""
+    return items, put(np.array([item.id for item in items], np.uint64), wp.uint64)
+
+
+def _blocks(found: Sequence[FaceBlocks], counts: Sequence[int]) -> list[wp.array]:
+    slots = _starts([len(x.face) for x in found])
+    face_of_slot = np.concatenate(
+        [x.face + first for x, first in zip(found, _starts(counts), strict=True)]
+    )
+    slot_of_face = np.empty(sum(counts), np.int32)
+    slot_of_face[face_of_slot] = np.arange(len(face_of_slot))
+    integers = [_starts([len(x.first) for x in found]), slots // WIDTH]
+    return [
+        *(put(x, wp.int32) for x in integers),
+        put(np.concatenate([x.boxes for x in found]).ravel(), wp.float32),
+        put(np.concatenate([x.first for x in found]), wp.int32),
+        put(np.concatenate([x.blocks for x in found]).ravel(), wp.float32),
+        put(face_of_slot.astype(np.int32), wp.int32),
+        put(slot_of_face, wp.int32),
+    ]
 
 
 def _take(array: Array) -> wp.array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
@@ -56,6 +57,21 @@ def start(build: Callable[..., T], *arguments: Any) -> Callable[[], T]:
         return _pool().submit(build, *arguments).result
     built = build(*arguments)
     return lambda: built
+
+
+def once(build: Callable[[], T]) -> Callable[[], T]:
+    """What gives a result that is worked out when it is first wanted, once for all threads.
+
+    `functools.cached_property` has no lock since Python 3.12: threads that want it at the same time
+    each work it out, and all but one lose theirs while a kernel still reads it.
+    """
+    lock, found = threading.Lock(), functools.cache(build)
+
+    def result() -> T:
+        with lock:
+            return found()
+
+    return result
 
 
 def cores() -> int:

@@ -181,8 +181,9 @@ def test_the_panel_changes_sigma_triples_and_place(viewer, page):
 def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):
     box = control(page, "anchor")
     box.uncheck()
-    wait(lambda: viewer.settings.anchor is None)
-    assert np.array_equal(viewer.shown.score, stored[0].heatmap.score)
+    # The settings change first, what is shown a moment later.
+    wait(lambda: np.array_equal(viewer.shown.score, stored[0].heatmap.score))
+    assert viewer.settings.anchor is None
     wait(lambda: "anchor (" not in page.inner_text("body"))
     box.check()
     wait(lambda: viewer.settings.anchor is not None)

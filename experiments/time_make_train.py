@@ -53,6 +53,22 @@ def timed(command: list[str], folder: Path | None = None) -> float:
     return time.perf_counter() - began
 
 
+def fresh_clone(folder: Path, python: str) -> float:
+    """Clones the last commit, makes its environment, and returns how long the latter took [s].
+
+    Args:
+        folder: Where to; it must not be there.
+        python: The Python of the environment.
+
+    Raises:
+        InputError: The folder is there, or a command failed.
+    """
+    if folder.exists():
+        raise InputError("--clone", str(folder), "a folder that is not there yet")
+    timed(["git", "clone", "--quiet", str(ROOT), str(folder)])
+    return timed(["make", "setup", f"PYTHON={python}"], folder)
+
+
 def curve(path: Path) -> dict[str, float]:
     """Return and success at both ends of a training, each a mean over a tenth of its iterations.
 
@@ -96,11 +112,8 @@ def write(out: Path, run: Path, durations: dict[str, float]) -> None:
 
 def main(config: TimeConfig) -> None:
     """Clones, runs, and writes the results file."""
-    if config.clone.exists():
-        raise InputError("--clone", str(config.clone), "a folder that is not there yet")
     check_writable("--out", config.out)
-    timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
-    setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
+    setup_s = fresh_clone(config.clone, config.python)
     train_s = timed(["make", "train"], config.clone)
     (run,) = (config.clone / "runs").iterdir()
     durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from time_make_train import ROOT, timed
+from time_make_train import ROOT, fresh_clone
 
 from mjx_grasp.atomic import check_writable, write_json
 from mjx_grasp.cli import run_command
@@ -74,11 +74,8 @@ def write(out: Path, row: dict[str, Any]) -> None:
 
 def main(config: TimeConfig) -> None:
     """Clones, tests, and writes the row, also of tests that fail."""
-    if config.clone.exists():
-        raise InputError("--clone", str(config.clone), "a folder that is not there yet")
     check_writable("--out", config.out)
-    timed(["git", "clone", "--quiet", str(ROOT), str(config.clone)])
-    setup_s = timed(["make", "setup", f"PYTHON={config.python}"], config.clone)
+    setup_s = fresh_clone(config.clone, config.python)
     report = config.clone.resolve() / ".cache" / "tests.xml"
     command = ["make", "test", f"PYTHON={config.python}", f"ARGS=--junitxml={report}"]
     began = time.perf_counter()

@@ -125,10 +125,22 @@ def plan_all(
         chunk: Poses at a time.
         progress: Told how many are done.
     """
-    home = jnp.asarray(reacher.body.home)
+    count = len(poses.radius)
+    keys = jax.random.split(jax.random.key(plan.seed), count)
+    found = []
+    for first in range(0, count, chunk):
+        rows = _rows(first, chunk, count)
+        shape = Cylinder(poses.radius[rows], poses.half_length[rows])
+        part = _plans(reacher, plan, library, shape, poses.p_wo[rows], poses.R_wo[rows], keys[rows])
+        kept = min(chunk, count - first)
+        found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
+        progress(first + kept)
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
+
+@partial(jax.jit, static_argnames=("reacher", "plan"))
+def _plans(reacher, plan, library, shape, p_wo, R_wo, key) -> Search:
     def one(shape, p_wo, R_wo, key):
-        around = Surroundings.still(shape, p_wo, R_wo)
         return plan_reach(
             reacher.body,
             reacher.config,
@@ -136,23 +148,12 @@ def plan_all(
             plan,
             library,
             candidates_of(reacher, shape),
-            around,
-            home,
+            Surroundings.still(shape, p_wo, R_wo),
+            jnp.asarray(reacher.body.home),
             key,
         )
 
-    compiled = jax.jit(jax.vmap(one))
-    count = len(poses.radius)
-    keys = jax.random.split(jax.random.key(plan.seed), count)
-    found = []
-    for first in range(0, count, chunk):
-        rows = _rows(first, chunk, count)
-        shape = Cylinder(poses.radius[rows], poses.half_length[rows])
-        part = compiled(shape, poses.p_wo[rows], poses.R_wo[rows], keys[rows])
-        kept = min(chunk, count - first)
-        found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
-        progress(first + kept)
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+    return jax.vmap(one)(shape, p_wo, R_wo, key)
 
 
 def _rows(first: int, chunk: int, count: int) -> np.ndarray:
@@ -176,8 +177,6 @@ def sweep(
         chunk: Poses at a time.
         progress: Told of every pose-tick done.
     """
-    begin = jax.jit(jax.vmap(partial(_begin, reacher)))
-    go_on = jax.jit(jax.vmap(partial(_segment, reacher)))
     count = len(poses.radius)
     longest = int(np.ceil(reacher.config.controller.timeout / reacher.config.controller.dt))
     records = []
@@ -189,16 +188,26 @@ def sweep(
             poses.R_wo[rows],
             jax.tree.map(lambda leaf, rows=rows: leaf[rows], plans),
         )
-        state = begin(problem)
+        state = _begun(reacher, problem)
         kept = min(chunk, count - first)
         for tick in range(0, longest, _SEGMENT):
-            state = go_on(problem, state)
+            state = _gone_on(reacher, problem, state)
             progress(kept * min(_SEGMENT, longest - tick))
             if np.all(np.asarray(state[0].outcome) != Outcome.RUNNING):
                 progress(kept * max(longest - tick - _SEGMENT, 0))
                 break
         records.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], state[2]))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *records)
+
+
+@partial(jax.jit, static_argnames="reacher")
+def _begun(reacher, problem):
+    return jax.vmap(partial(_begin, reacher))(problem)
+
+
+@partial(jax.jit, static_argnames="reacher")
+def _gone_on(reacher, problem, state):
+    return jax.vmap(partial(_segment, reacher))(problem, state)
 
 
 def _begin(reacher: Reacher, problem: Problem):

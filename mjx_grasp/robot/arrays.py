@@ -22,6 +22,7 @@ class RobotArrays(NamedTuple):
     Attributes:
         kinematics: Frames: the three tips, the three pads, the palm, then the bodies that carry
             the spheres.
+        palm: The palm's frame alone, for draws of the arm.
         lower, upper: ``[joints]`` position limits in [rad].
         nominal: ``[joints]`` home with the hand open, [rad].
         solved: ``[joints]`` whether a joint is solved for; the others stay nominal.
@@ -31,6 +32,7 @@ class RobotArrays(NamedTuple):
     """
 
     kinematics: Kinematics
+    palm: Kinematics
     lower: np.ndarray
     upper: np.ndarray
     nominal: np.ndarray
@@ -63,6 +65,7 @@ def robot_arrays(robot: RobotSpec) -> RobotArrays:
     addresses = np.array([int(j.qposadr[0]) for j in joints])
     return RobotArrays(
         kinematics=Kinematics.from_model(model, [*sites, robot.hand.palm_site], bodies),
+        palm=Kinematics.from_model(model, [robot.hand.palm_site]),
         lower=np.array([j.range[0] for j in joints]),
         upper=np.array([j.range[1] for j in joints]),
         nominal=np.array(robot.home),

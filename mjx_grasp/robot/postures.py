@@ -62,6 +62,7 @@ def draw_postures(
         InputError: The robot does not reach the object area.
     """
     forward = jax.jit(jax.vmap(arrays.kinematics.forward))
+    palm_of = jax.jit(jax.vmap(arrays.palm.forward))
     rng = np.random.default_rng([seed, 1])
     lower, upper = arrays.lower, arrays.upper
     hand = arrays.solved & ~arrays.arm
@@ -72,57 +73,48 @@ def draw_postures(
         centre = arrays.sphere_centres(pos, mat)
         return jnp.all(own_clearance(arrays.spheres, centre)[0] >= arrays.spheres.radius)
 
-    def opposed_and_apart(pos, mat):
-        good = np.array(_grasp_like(pos[:, :3], mat[:, 3:6, :, 0]))
-        # Few are left: the costlier question is asked of them alone, in one size.
-        left = np.flatnonzero(good)[:_FEW]
-        asked = np.resize(left, _FEW) if len(left) else np.zeros(_FEW, int)
-        good[:] = False
-        good[left] = np.asarray(fingers_apart(pos[asked], mat[asked]))[: len(left)]
-        return good
-
     def draw(columns):
         q = np.tile(arrays.nominal, (_BATCH, 1))
         q[:, columns] = rng.uniform(lower[columns], upper[columns], (_BATCH, columns.sum()))
         return q
 
-    def collected(wanted, sample, keep, what):
+    def collected(wanted, sample, what):
         kept, found = [], 0
         for _ in range(_MAX_BATCHES):
-            q = sample()
-            pos, mat = forward(np.asarray(q, np.float32))
-            good = q[np.asarray(keep(pos, mat))]
-            kept.append(good)
-            found += len(good)
+            kept.append(sample())
+            found += len(kept[-1])
             if found >= wanted:
                 return np.concatenate(kept)[:wanted]
         raise InputError("robot", f"{found} {what} in {_MAX_BATCHES * _BATCH} draws", "more")
 
+    def opposed_and_apart():
+        q = draw(hand)
+        pos, mat = forward(np.asarray(q, np.float32))
+        # Few are left: the costlier question is asked of them alone, in one size.
+        left = np.flatnonzero(_grasp_like(pos[:, :3], mat[:, 3:6, :, 0]))[:_FEW]
+        asked = np.resize(left, _FEW) if len(left) else np.zeros(_FEW, int)
+        return q[left[np.asarray(fingers_apart(pos[asked], mat[asked]))[: len(left)]]]
+
     postures = collected(
-        max(count // 10, 500),
-        lambda: draw(hand),
-        opposed_and_apart,
-        "hand postures with thumb and wraps opposed",
+        max(count // 10, 500), opposed_and_apart, "hand postures with thumb and wraps opposed"
     )
+    pos, mat = map(np.asarray, forward(np.asarray(postures, np.float32)))
+    in_palm = np.einsum("nij,nfi->nfj", mat[:, 6], pos[:, :3] - pos[:, 6:7])
 
-    def sample():
+    def over_table():
         q = draw(arrays.arm)
-        q[:, hand] = postures[rng.integers(len(postures), size=_BATCH)][:, hand]
-        return q
-
-    def over_table(pos, mat):
-        tips, palm = pos[:, :3], pos[:, 6]
+        chosen = rng.integers(len(postures), size=_BATCH)
+        q[:, hand] = postures[chosen][:, hand]
+        pos, mat = map(np.asarray, palm_of(np.asarray(q, np.float32)))
+        tips = pos + np.einsum("nij,nfj->nfi", mat[:, 0], in_palm[chosen])
         middle = tips.mean(axis=1)
-        (x0, x1), (y0, y1) = x_range, y_range
-        return (
-            (middle[:, 0] > x0 - _MARGIN_XY)
-            & (middle[:, 0] < x1 + _MARGIN_XY)
-            & (middle[:, 1] > y0 - _MARGIN_XY)
-            & (middle[:, 1] < y1 + _MARGIN_XY)
+        low, high = np.transpose([x_range, y_range])
+        return q[
+            np.all((middle[:, :2] > low - _MARGIN_XY) & (middle[:, :2] < high + _MARGIN_XY), axis=1)
             & (tips[:, :, 2].min(axis=1) > _LOWEST_TIP)
             & (middle[:, 2] < _HIGHEST_TIP)
-            & (palm[:, 2] > _LOWEST_PALM)
-        )
+            & (pos[:, 0, 2] > _LOWEST_PALM)
+        ]
 
-    q = collected(count, sample, over_table, "arm postures over the object area")
+    q = collected(count, over_table, "arm postures over the object area")
     return np.asarray(q, np.float32)

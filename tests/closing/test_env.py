@@ -26,7 +26,7 @@ def play(env, rows, ticks, action=None, state=None):
         state, out = env.tick(state, action)
         return state, (state, out)
 
-    start = env.start(draw_of(rows))[0] if state is None else state
+    start = jax.jit(env.start)(draw_of(rows))[0] if state is None else state
     return jax.jit(lambda s: jax.lax.scan(tick, s, length=ticks)[1])(start)
 
 
@@ -60,9 +60,9 @@ def test_observation_stacks_two_steps_oldest_first(scene, starts):
     q0 = starts.readings.q[0, nine]
     np.testing.assert_array_equal(obs["state"][0], [*q0, *np.zeros(24)] * 2)
     actions = rng.uniform(-1, 1, (3, 1, 15)).astype(np.float32)
-    seen = [np.array([*q0, *np.zeros(24)])]
+    seen, tick = [np.array([*q0, *np.zeros(24)])], jax.jit(env.tick)
     for t in range(3):
-        state, out = env.tick(state, jnp.asarray(actions[t]))
+        state, out = tick(state, jnp.asarray(actions[t]))
         seen.append(np.concatenate([script.q[t, 0, nine], script.qd[t, 0, nine], actions[t, 0]]))
         np.testing.assert_allclose(out.obs["state"][0], np.concatenate(seen[-2:]), atol=1e-7)
 
@@ -304,7 +304,7 @@ def test_world_that_was_reset_goes_on_as_a_fresh_one(starts, native):
     env = ClosingEnv(native, starts, ClosingConfig(), QUIET)
     used = jax.tree.map(lambda x: x[-1], play(env, [0, 3], 15)[0])
     draw = draw_of([1, 4])
-    reset, _ = env.reset(used, jnp.ones(2, bool), draw)
+    reset, _ = jax.jit(env.reset)(used, jnp.ones(2, bool), draw)
     action = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (2, 15)), jnp.float32)
     again = play(env, [1, 4], 10, action, state=reset)
     fresh = play(env, [1, 4], 10, action)

@@ -23,6 +23,7 @@ def description(tmp_path_factory):
     return write_six_axis(tmp_path_factory.mktemp("robot"))
 
 
+@pytest.mark.long
 def test_it_reaches_and_stays_clear(description):
     settings = preset("default")
     settings = replace(settings, plan=replace(settings.plan, library=10_000))

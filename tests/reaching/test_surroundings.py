@@ -159,8 +159,12 @@ def test_slopes_are_derivatives_of_distances(body):
 
 def test_rows_ask_for_what_is_missing(body):
     config = ReachConfig()
-    motion = body.kinematics.motion(jnp.asarray(body.home))
-    slope, bound, near = half_spaces(body, motion, _around(), config)
+
+    @jax.jit
+    def rows(q, around):
+        return half_spaces(body, body.kinematics.motion(q), around, config)
+
+    slope, bound, near = rows(jnp.asarray(body.home), _around())
     distance = near["object"].distance
     asked = np.minimum((0.010 - np.asarray(distance)) / config.limits.horizon, 0.35)
     np.testing.assert_allclose(bound[: len(distance)], asked, rtol=1e-5, atol=1e-6)

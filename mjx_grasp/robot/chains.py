@@ -161,9 +161,10 @@ def compile_chains(
     return Chains(
         frame_names=tuple(name for name, _, _ in frames),
         joint_names=tuple(model.joint(joint).name for joint in columns),
-        column=np.array([columns.index(joint) for joint in order], dtype=int),
+        # Indices of 32 bits: with 64, JAX 0.11 mixes both widths up where x64 is switched.
+        column=np.array([columns.index(joint) for joint in order], np.int32),
         reference=stacked("reference"),
-        parent=stacked("parent").astype(int),
+        parent=stacked("parent").astype(np.int32),
         hinge=stacked("hinge").astype(bool),
         fixed=stacked("fixed", 3, 3),
         cosine=stacked("cosine", 3, 3),
@@ -172,7 +173,7 @@ def compile_chains(
         anchor=stacked("anchor", 3),
         offset=stacked("offset", 3),
         levels=tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
-        frame_node=np.array([place.node for place in placed]),
+        frame_node=np.array([place.node for place in placed], np.int32),
         frame_pos=np.array([place.pos for place in placed]),
         frame_mat=np.array([place.mat for place in placed]),
         moves=np.array(

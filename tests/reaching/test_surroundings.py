@@ -145,16 +145,14 @@ def test_slopes_are_derivatives_of_distances(body):
             [p.slope for p in parts]
         )
 
-    with jax.enable_x64(True):
-        q = jnp.asarray(np.asarray(q), jnp.float64)
-        _, slope = distances(q)
-        step, columns = 1e-5, []
-        for direction in np.eye(len(q)):
-            ahead, behind = distances(q + step * direction)[0], distances(q - step * direction)[0]
-            columns.append((ahead - behind) / (2 * step))
+    _, slope = distances(q)
+    step, columns = 1e-3, []  # wide enough for float32
+    for direction in np.eye(len(q), dtype=np.float32):
+        ahead, behind = distances(q + step * direction)[0], distances(q - step * direction)[0]
+        columns.append((ahead - behind) / (2 * step))
     error = np.abs(np.stack(columns, axis=1) - np.asarray(slope)).max(axis=1)
     # A row may change its nearest member within the step.
-    assert np.mean(error < 2e-3) > 0.95
+    assert np.mean(error < 5e-4) > 0.95
 
 
 def test_rows_ask_for_what_is_missing(body):

@@ -47,8 +47,10 @@ from mjx_grasp.table import Table
 ROOT = Path(__file__).resolve().parent.parent
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"
 EXPLANATION = (
-    "Success in %, with 95 % intervals of the trials in brackets; force is the net contact force "
-    f"per finger from lift onset. The last columns are quoted from {paper.CITATION}."
+    "Success in %, with 95 % intervals of the trials in brackets, which take these as independent; "
+    "they begin from start states kept out of training, each used again with another offset where "
+    "there are fewer than trials. Force is the net contact force per finger from lift onset. The "
+    f"last columns are quoted from {paper.CITATION}."
 )
 LAYERS = (
     "Where a control tick goes, in ms, each loop holding the one before it: MuJoCo Warp alone "
@@ -209,20 +211,22 @@ def _runs(paths: Sequence[Path]) -> str:
             f"{r['worlds']:,} × {r['unroll']}",
             r["residual"],
             "privileged" if r["privileged_critic"] else "66 observations",
+            " ".join(r["objects"]),
             str(r["seed"]),
             f"{r['env_steps'] / 1e6:.1f}",
             f"{r['seconds_with_compilation']:.0f}",
             f"{r['steps_per_s']:,.0f}",
             f"{r['training_success_percent']:.1f}",
             f"{r['training_force_n']:.1f}",
+            str(r["provenance"]["git"])[:12],
         )
         for r in rows
     )
     header = (
-        *("run", "device", "worlds × unroll", "residual", "critic sees", "seed"),
-        *("M steps", "s", "steps/s", "success %", "force N"),
+        *("run", "device", "worlds × unroll", "residual", "critic sees", "objects", "seed"),
+        *("M steps", "s", "steps/s", "success %", "force N", "git"),
     )
-    return Table("Training runs", header, lines, names=5).markdown()
+    return Table("Training runs", header, lines, names=6).markdown()
 
 
 def _shipped_policy(root: Path) -> str:

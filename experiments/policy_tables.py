@@ -119,7 +119,8 @@ def policies(folder: Path, shipped: Path) -> str:
 
 
 def _setting(run: dict[str, Any]) -> str:
-    return f"{run['worlds']:,} × {run['unroll']}, {run['env_steps'] / 1e6:.0f} M steps"
+    published = ", preset paper" if run["preset"] == "paper" else ""
+    return f"{run['worlds']:,} × {run['unroll']}, {run['env_steps'] / 1e6:.0f} M steps{published}"
 
 
 def _run_of(path: Path, shipped: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -52,6 +53,7 @@ def evaluate(
     policy: Policy | None,
     handoff_kind: str,
     console: Console,
+    task: ClosingConfig | None = None,
 ) -> tuple[list[ResultRow], dict[str, Trials]]:
     """Runs the trials of each object, sums them up and warns of what the engine could not do.
 
@@ -62,8 +64,13 @@ def evaluate(
         policy: The policy, for the controller `policy`.
         handoff_kind: `ik` or `reached`, for the rows.
         console: Where the progress bar and warnings go.
+        task: Whose commands a squeeze gives, with its own force; by default the closing task's.
+            A policy is always in the task it was trained in.
     """
-    task = policy_task(policy) if policy else ClosingConfig(grip_force=config.squeeze_force)
+    if policy:
+        task = policy_task(policy)
+    else:
+        task = replace(task or ClosingConfig(), grip_force=config.squeeze_force)
     worlds = min(config.worlds, config.episodes)
     env = world.env(config.engine, worlds, task, config.noise, with_privileged=False)
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(env)

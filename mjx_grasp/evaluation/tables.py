@@ -202,18 +202,21 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     """Speed and memory against worlds, device by device."""
     rows = []
     for file in files:
+        unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
         for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
+            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
             rows.append(
                 (
                     str(file.provenance["device"]),
                     _loop_name(row),
                     f"{row.objects}",
-                    f"{row.worlds:,}",
+                    f"{row.worlds:,}{ticks}",
                     f"{row.control_steps_per_s:,.0f}",
                     "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
                 )
             )
-    header = ("device", "loop", "objects", "worlds", "control steps/s", "JAX's memory GiB")
+    memory = "JAX's memory GiB"
+    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
     return Table("Speed and memory", header, tuple(rows), names=2)
 
 

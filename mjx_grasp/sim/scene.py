@@ -35,7 +35,8 @@ class SceneConfig:
     physics_dt: float = 0.002
     """Physics step [s]."""
     friction: tuple[float, float, float] = (0.8, 0.02, 1e-4)
-    """Sliding [-], torsional [m] and rolling [m] friction of every contact with the object."""
+    """Sliding [-], torsional [m] and rolling [m] friction of every contact with the object; the
+    sliding one where a world is given none of its own, as trainings do (`StartNoise.friction`)."""
     solref: tuple[float, float] = (0.005, 1.0)
     """Contact time constant [s] and damping ratio."""
     solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)

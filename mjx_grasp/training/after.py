@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,38 +45,28 @@ def evaluate_and_report(
     every_joint = replace(config.scene, fix_idle_fingers=False)
     scene = build_scene(world.scene.objects, load_robot(), every_joint)
     held_out = build_world(scene, states, ClosingConfig())
-    base = EvaluateConfig(
-        out=folder / "results.json",
-        episodes=config.evaluation_episodes,
-        seed=config.seed + 1,
-        friction=config.scene.friction[0],
-        offset_mm=1e3 * config.noise.offset_m,
-    )
+    task, base = policy_task(policy), condition(config, folder / "results.json")
     rows: list[ResultRow] = []
     runs: list[Trials] = []
-    for force in (None, *SQUEEZE_FORCES_N):
-        setting = (
-            base if force is None else replace(base, controller="squeeze", squeeze_force=force)
-        )
+    # Before training a policy adds nothing to its command: that is a squeeze of so much force.
+    for force in (None, *SQUEEZE_FORCES_N, task.grip_force):
+        squeeze = replace(base, controller="squeeze", squeeze_force=force or base.squeeze_force)
         new, trials = evaluate(
             held_out,
             states.object_names,
-            setting,
-            policy if force is None else None,
+            squeeze if force else base,
+            None if force else policy,
             states.kind,
             console,
+            task,
         )
         rows += new
         runs += trials.values()
-    # Before training a policy adds nothing to its command: that is a squeeze of so much force.
-    grip_force = policy_task(policy).grip_force
-    untrained = replace(base, controller="squeeze", squeeze_force=grip_force)
-    before, trials = evaluate(held_out, states.object_names, untrained, None, states.kind, console)
-    label, counted = f"policy, preset {config.preset}", incidents([*runs, *trials.values()])
+    label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
-    write_results(base.out, rows + before, made, label=label, untrained_n=grip_force, **counted)
-    console.print(success_table(rows + before))
-    console.print(untrained_note(grip_force))
+    write_results(base.out, rows, made, label=label, untrained_n=task.grip_force, **counted)
+    console.print(success_table(rows))
+    console.print(untrained_note(task.grip_force))
 
     video, problem = folder / "grasp.mp4", None
     save_trajectory(
@@ -93,6 +84,24 @@ def evaluate_and_report(
         out_html=folder / "report.html",
     )
     console.print(f"report: {folder / 'report.html'}")
+
+
+def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
+    """The training's own condition, for its evaluation; of a range of friction, the middle.
+
+    Args:
+        config: The training.
+        out: Results file.
+    """
+    noise = config.noise
+    return EvaluateConfig(
+        out=out,
+        episodes=config.evaluation_episodes,
+        seed=config.seed + 1,
+        friction=sum(noise.friction) / 2,
+        offset_mm=1e3 * noise.offset_m,
+        angle_deg=math.degrees(noise.angle_rad),
+    )
 
 
 def best_grasp(world: World, name: str, policy: Policy, seed: int) -> Trajectory:

@@ -1,0 +1,41 @@
+"""What follows a training is of the training's own condition and task."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from mjx_grasp.closing.config import StartNoise
+from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.training.after import condition
+from mjx_grasp.training.config import preset_config
+
+
+class Asked(Exception):
+    """The task and noise that an environment was asked for."""
+
+
+class Recorder:
+    def env(self, engine, worlds, task, noise, **settings):
+        raise Asked(task, noise)
+
+
+def test_the_evaluation_has_the_condition_of_the_training():
+    noise = StartNoise(offset_m=0.002, angle_rad=0.1, friction=(0.4, 0.6))
+    config = replace(preset_config("cpu"), noise=noise, seed=7)
+    asked = condition(config, Path("results.json"))
+    assert asked.noise.offset_m == pytest.approx(noise.offset_m)
+    assert asked.noise.angle_rad == pytest.approx(noise.angle_rad)
+    assert asked.noise.friction == pytest.approx((0.5, 0.5))
+    assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
+
+
+def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
+    task = preset_config("paper").task
+    assert task.lift_delay_s == 0.0 and not task.grip_together
+    config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
+    with pytest.raises(Asked) as asked:
+        evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
+    assert asked.value.args == (replace(task, grip_force=4.0), config.noise)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.assemble import World
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.closing.observation import policy_sizes
@@ -90,8 +90,7 @@ def evaluate(
     env = world.env(config.engine, worlds, task, config.noise, with_privileged=False)
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(env)
     rows, trials = [], {}
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+    with counting_progress(console) as bar:
         job = bar.add_task(f"{config.controller} in {config.engine}", total=len(names))
         for name in names:
             index = world.scene.object_index(name)

@@ -23,12 +23,11 @@ from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.evaluation.run import evaluate, load_controller
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
-from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
 
@@ -72,7 +71,7 @@ def main(config: ComparisonConfig) -> None:
     console = Console(stderr=True)
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
-    policy, stored = load_policy(file), load_handoffs(handoffs)
+    policy, stored = load_controller(file), load_handoffs(handoffs)
     made_of = {
         "settings": as_json(asdict(config)),
         "sha256": file_digests(policy=file, handoffs=handoffs),

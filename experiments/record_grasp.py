@@ -15,9 +15,9 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
-from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.training.after import best_grasp
 from mjx_grasp.viz.trajectory import save_trajectory
@@ -40,7 +40,7 @@ class RecordConfig:
 
 def main(config: RecordConfig) -> None:
     """Records and renders."""
-    policy = load_policy(config.policy or asset_path("policy.npz"))
+    policy = load_controller(config.policy or asset_path("policy.npz"))
     scene = build_scene_of([config.object], config.objects_dir, SceneConfig())
     stored = load_handoffs(shipped_handoffs(config.objects_dir))
     world = build_world(scene, states_of(stored, [config.object], "evaluation"), ClosingConfig())

@@ -23,8 +23,13 @@ def run_command(command: Callable[[], None]) -> None:
         sys.exit(130)
 
 
-def counting_progress(console: Console | None) -> Progress:
-    """A bar with the number done and the time left; shown nowhere if the console is None."""
+def counting_progress(console: Console | None, transient: bool = False) -> Progress:
+    """A bar with the number done and the time left; shown nowhere if the console is None.
+
+    Args:
+        console: Where it is shown.
+        transient: Whether it goes when all is done.
+    """
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -32,4 +37,5 @@ def counting_progress(console: Console | None) -> Progress:
         TimeRemainingColumn(),
         console=console,
         disable=console is None,
+        transient=transient,
     )

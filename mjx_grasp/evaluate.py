@@ -14,12 +14,11 @@ from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import write_results
-from mjx_grasp.evaluation.run import chosen_states, evaluate
+from mjx_grasp.evaluation.run import chosen_states, evaluate, load_controller
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
-from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
 
@@ -30,7 +29,7 @@ def main(config: EvaluateConfig) -> None:
     check_writable("--out", config.out)
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
-    policy = None if file is None else load_policy(file)
+    policy = None if file is None else load_controller(file)
     stored = load_handoffs(handoffs)
     names, without, states = chosen_states(stored, config)
     if without:

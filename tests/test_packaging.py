@@ -16,6 +16,7 @@ PACKAGE = ROOT / "mjx_grasp"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 COMMANDS = [p for p in SOURCES if '__name__ == "__main__"' in p.read_text()]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+README = (ROOT / "README.md").read_text()
 EXTRAS = PROJECT["optional-dependencies"]
 
 
@@ -102,8 +103,20 @@ def test_every_command_explains_itself(path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.lower().startswith("usage:")
     assert f"python -m {module_name(path)}" in ast.get_docstring(ast.parse(text))
-    for option in re.findall(r"--[a-z][a-z-]+", done.stdout):
-        assert "_" not in option
+    options = set(re.findall(r"--[a-z][\w.-]*", done.stdout))
+    assert not [option for option in options if "_" in option]
+    assert shown_options(module_name(path)) <= options
+
+
+def shown_options(module: str) -> set[str]:
+    """The flags that the README gives to a command."""
+    calls = re.findall(rf"python -m {re.escape(module)} ([^#`\n]*)", README)
+    return {option for call in calls for option in re.findall(r"--[a-z][\w.-]*", call)}
+
+
+def test_the_readme_shows_flags():
+    assert shown_options("mjx_grasp.evaluate") >= {"--controller", "--objects", "--out"}
+    assert shown_options("mjx_grasp.train") >= {"--preset", "--resume"}
 
 
 def test_every_import_is_a_declared_dependency():

@@ -222,7 +222,7 @@ def test_no_number_of_a_result_is_written_by_hand():
 def test_the_readmes_links_and_commands_exist():
     text = (ROOT / "README.md").read_text()
     for link in re.findall(r"\]\(([^)#]+)\)", text):
-        if not link.startswith("http") and not link.endswith(".gif"):
+        if not link.startswith("http"):
             assert (ROOT / link).exists(), link
     for module in re.findall(r"python -m (mjx_grasp[\w.]*)", text):
         assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
@@ -231,6 +231,11 @@ def test_the_readmes_links_and_commands_exist():
     assert {"train", "test", "setup"} <= set(targets)
     for target in targets:
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_the_readmes_picture_is_small():
+    assert "](docs/grasp.gif)" in (ROOT / "README.md").read_text()
+    assert 0 < (ROOT / "docs" / "grasp.gif").stat().st_size <= 2e6
 
 
 def examples():

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mjx_grasp.closing import control, rewards, stages
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.closing.guidance import guidance_field, way_left
-from mjx_grasp.closing.observation import STACKED_STEPS, privileged, proprioception
+from mjx_grasp.closing.observation import STACKED_STEPS, policy_sizes, privileged, proprioception
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
 from mjx_grasp.closing.starts import (
     StartDraw,
@@ -114,8 +114,7 @@ class ClosingEnv:
         scene = physics.scene
         self.joints = control.joint_map(scene)
         self.num_fingers = len(scene.robot.hand.fingers)
-        self.action_size = len(self.joints.fingers) + len(self.joints.arm_policy)
-        self.proprio_size = 2 * len(self.joints.fingers) + self.action_size
+        _, self.action_size = policy_sizes(scene.robot)
         self._weights = balanced_weights(starts.object_index, len(scene.objects))
         self._turned = self.noise.angle_rad > 0
 

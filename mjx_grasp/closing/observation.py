@@ -5,9 +5,17 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.physics import Readings
 
 STACKED_STEPS = 2
+
+
+def policy_sizes(robot: RobotSpec) -> tuple[int, int]:
+    """How many numbers a policy of the robot reads, and with how many it answers."""
+    fingers = len(robot.hand.policy_joints)
+    actions = fingers + len(robot.arm.policy_joints)
+    return STACKED_STEPS * (2 * fingers + actions), actions
 
 
 def proprioception(

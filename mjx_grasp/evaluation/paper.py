@@ -32,8 +32,6 @@ OBJECTS: dict[str, PaperRow] = {
     "pitcher_base_scaled": PaperRow(80.5, 55.9, (14.6, 0.8)),
 }
 MEAN = PaperRow(91.9, 56.1, (13.3, 2.1))
-MEAN_SPREAD = (0.9, 1.4)
-"""± of the mean success of the policy and of squeeze [percentage points]."""
 
 FAILURES = {
     "ours": {"never_lifted": 4.9, "not_held": 2.7, "slipped": 0.8},

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.assemble import World
 from mjx_grasp.closing.config import ClosingConfig
-from mjx_grasp.errors import InputError
+from mjx_grasp.closing.observation import policy_sizes
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
@@ -24,8 +26,9 @@ from mjx_grasp.evaluation.trials import (
 )
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.states import eligible, states_of
-from mjx_grasp.learning.policy import Policy
+from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.robot.spec import load_robot
 
 
 def chosen_states(
@@ -44,6 +47,24 @@ def chosen_states(
         known = ", ".join(n for n in counts if counts[n]) or "none"
         raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
     return names, without, part.select(names)
+
+
+def load_controller(path: Path) -> Policy:
+    """Reads a policy that fits the robot, of a task that is known here.
+
+    Raises:
+        FileError: It is unreadable, or of another robot or task.
+    """
+    policy = load_policy(path)
+    try:
+        policy_task(policy)
+    except InputError as error:
+        raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
+    sizes, fitting = (policy.observation_size, policy.action_size), policy_sizes(load_robot())
+    if sizes != fitting:
+        names = "observation_size, action_size = "
+        raise FileError(path, f"{names}{sizes}", f"{fitting}, those of the robot")
+    return policy
 
 
 def evaluate(
@@ -75,8 +96,7 @@ def evaluate(
     env = world.env(config.engine, worlds, task, config.noise, with_privileged=False)
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(env)
     rows, trials = [], {}
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+    with counting_progress(console) as bar:
         job = bar.add_task(f"{config.controller} in {config.engine}", total=len(names))
         for name in names:
             index = world.scene.object_index(name)
@@ -89,8 +109,21 @@ def evaluate(
 
 
 def policy_task(policy: Policy) -> ClosingConfig:
-    """The task a policy was trained in, as its file says."""
-    return ClosingConfig(**policy.meta["task"])
+    """The task a policy was trained in, as its file says.
+
+    Raises:
+        InputError: A field is unknown or missing, or has an impossible value.
+    """
+    task, known = policy.meta.get("task"), {f.name for f in fields(ClosingConfig)}
+    if not isinstance(task, dict):
+        raise InputError("task", task, "the fields of ClosingConfig")
+    for name in (*sorted(task.keys() - known), *sorted(known - task.keys())):
+        expected = "all fields of ClosingConfig and no others"
+        raise InputError(f"task.{name}", task.get(name), expected)
+    try:
+        return ClosingConfig(**task)
+    except TypeError as error:
+        raise InputError("task", str(error), "values as ClosingConfig has them") from None
 
 
 def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str) -> ResultRow:

@@ -2,8 +2,8 @@
 once.
 
 A CPU compares a point with eight boxes, or with eight triangles, in the time of one. NVIDIA Warp's
-own hierarchies have two children, and its compiler for CPUs does not vectorise: :mod:`.bvh` finds
-nearest faces three times as fast with these blocks (benchmarks/heatmap.py).
+own hierarchies have two children, and its compiler for CPUs does not vectorise: so on CPUs
+:mod:`.bvh` finds nearest faces with these blocks.
 """
 
 from __future__ import annotations
@@ -16,10 +16,6 @@ from jaxtyping import Float, Int
 from mjx_grasp.geometry.mesh import corner_rows, cross_rows, dot_rows
 
 WIDTH = 8
-# Rows of a block: corner, two edges, two dual vectors, inverse squared lengths of three edges.
-FACE_ROWS = 18
-# Lower and upper corner of a box.
-BOX_ROWS = 6
 # Beyond everything, and its square is no number: no point is near the box that is not there.
 _NOWHERE = 1e30
 

@@ -109,19 +109,6 @@ def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingE
     return TrainState(**(packed | {"env": env.unpack(packed["env"])}))
 
 
-def checkpoint_config(path: str | Path) -> dict[str, Any]:
-    """The configuration kept in a checkpoint.
-
-    Raises:
-        FileError: It is missing or damaged.
-    """
-    file = Path(path) / "config" / "metadata"
-    try:
-        return json.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise FileError(file, f"no readable configuration ({error})", "a checkpoint") from None
-
-
 def _digests(path: Path) -> dict[str, str]:
     """SHA-256 of every file of a checkpoint but the manifest; Orbax misses some flipped bits."""
     files = sorted(p for p in path.rglob("*") if p.is_file() and p.name != _MANIFEST)

@@ -9,7 +9,7 @@ from mjx_grasp.errors import InputError
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """PPO on Brax's parts. The defaults learn the closing task; `paper()` is as published."""
+    """PPO on Brax's parts, set to learn the closing task; the preset `paper` is as published."""
 
     worlds: int = 4096
     """Parallel environments."""

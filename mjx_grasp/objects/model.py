@@ -13,9 +13,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjx_grasp.atomic import replacing
+from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
@@ -90,15 +90,8 @@ def load_objects(
     """
     meshes = (_mesh(n, objects_dir) for n in names)
     missing = sum(not _cache_entry(_content_hash(m), cache_dir).exists() for m in meshes)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns,
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=missing == 0,
-        transient=True,
-    ) as progress:
+    console = Console(stderr=True)
+    with counting_progress(console if missing else None, transient=True) as progress:
         bar = progress.add_task("convex pieces", total=len(names))
         loaded = []
         for name in names:
@@ -108,7 +101,7 @@ def load_objects(
     off = {o.name: 1e3 * o.outward_error_95 for o in loaded if o.outward_error_95 > allowed}
     if off:
         named = ", ".join(f"{name} ({error:.0f} mm)" for name, error in off.items())
-        Console(stderr=True).print(
+        console.print(
             f"[yellow]convex pieces stand out by more than {1e3 * allowed:g} mm: {named}[/yellow]"
         )
     return loaded

@@ -6,6 +6,7 @@ from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.closing.env import ClosingEnv
+from mjx_grasp.closing.observation import policy_sizes
 from mjx_grasp.closing.success import failure_classes
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
 
@@ -42,7 +43,7 @@ def lifting_script(starts, rows, contact_tick=20, rise_tick=60, ticks=TICKS):
 
 def test_observation_has_66_numbers_and_actions_15(scene, starts):
     env = scripted_env(scene, starts, still(starts, [0], 2))
-    assert env.action_size == 15
+    assert policy_sizes(scene.robot) == (66, env.action_size) == (66, 15)
     _, obs = env.start(draw_of([0]))
     assert obs["state"].shape == (1, 66)
     plain = scripted_env(scene, starts, still(starts, [0], 2), with_privileged=False)

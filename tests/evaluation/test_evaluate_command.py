@@ -1,17 +1,22 @@
-"""What the command refuses, before anything is built."""
+"""What the command refuses, before anything is built, and what it writes."""
 
+import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mjx_grasp import evaluate as module
+from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import chosen_states
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
+from mjx_grasp.learning.policy import load_policy
 
 
 @pytest.mark.parametrize(
@@ -64,3 +69,50 @@ def test_an_object_needs_states_in_the_chosen_part():
     assert names["all"] == ["sugar_box", "foam_brick"] and without["all"] == ["bowl"]
     assert names["evaluation"] == ["foam_brick"]
     assert without["evaluation"] == ["sugar_box", "bowl"]
+
+
+def with_task(policy, **changes):
+    """The policy with changed fields of its task; those that are None are left out."""
+    task = {k: v for k, v in (policy.meta["task"] | changes).items() if v is not None}
+    return replace(policy, meta=policy.meta | {"task": task})
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda p: replace(p, meta={}), "found task = None"),
+        (lambda p: with_task(p, grip_power=2.0), r"found task\.grip_power = 2\.0.*no others"),
+        (lambda p: with_task(p, grip_force=None), r"found task\.grip_force = None.*all fields"),
+        (lambda p: with_task(p, grip_force=-1.0), r"grip_force = -1\.0, expected 0 N or more"),
+        (lambda p: with_task(p, grip_force="much"), r"found task = .*str.*expected values"),
+        (lambda p: replace(p, mean=p.mean[1:], std=p.std[1:]), r"\(65, 15\).*\(66, 15\)"),
+        (
+            lambda p: replace(p, biases=(*p.biases[:-1], p.biases[-1][1:])),
+            r"\(66, 14\).*\(66, 15\)",
+        ),
+    ],
+    ids=["no task", "unknown", "missing", "impossible", "no number", "observation", "action"],
+)
+def test_policies_of_another_task_or_robot_are_refused_by_name(monkeypatch, change, text):
+    monkeypatch.setattr(module, "build_scene_of", None)
+    path = Path("foreign.npz")
+    change(load_policy(asset_path("policy.npz"))).save(path)
+    with pytest.raises(FileError, match=rf"foreign\.npz: .*{text}"):
+        module.main(EvaluateConfig(out=Path("x.json"), objects=("foam_brick",), policy=path))
+
+
+def test_the_shipped_policy_is_evaluated_and_named():
+    policy, handoffs = asset_path("policy.npz"), asset_path("handoffs_standins.npz")
+    out, condition = Path("policy.json"), {"objects": ("foam_brick",), "episodes": 2}
+    module.main(EvaluateConfig(out, "policy", policy=policy, handoffs=handoffs, **condition))
+    results = read_results(out)
+    (row,) = results.rows
+    assert (row.object, row.controller, row.engine) == ("foam_brick", "policy", "mujoco")
+    assert row.episodes == row.successes + row.never_lifted + row.not_held + row.slipped == 2
+    assert row.squeeze_force_n is None
+    settings = results.extra["settings"]
+    assert (settings["controller"], settings["policy"]) == ("policy", str(policy))
+    assert results.extra["sha256"] == {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for name, path in (("policy", policy), ("handoffs", handoffs))
+    }

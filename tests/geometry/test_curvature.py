@@ -4,17 +4,16 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from mjx_grasp.geometry.curvature import long_axes, tangent_basis
+from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
 from mjx_grasp.geometry.mesh import mass_properties
 from mjx_grasp.geometry.vectors import angle_between, distance_to_line, unit
 
-SETTINGS = {
-    "radius": 0.015,
-    "min_faces": 12,
-    "isotropy": 0.05,
-    "flatness": 1e-4,
-    "parallel_angle": np.radians(10),
-}
+
+def long_axes(points, normals, centroids, face_normals, face_areas, axes, radius=0.015):
+    surface = centroids, face_normals, face_areas
+    spread = normal_spread(points, normals, *surface, radius=radius, min_faces=12)
+    limits = {"isotropy": 0.05, "flatness": 1e-4, "parallel_angle": np.radians(10)}
+    return axes_of_spread(spread, normals, axes, **limits)
 
 
 def axes_on(mesh, points, normals, **changes):
@@ -27,7 +26,7 @@ def axes_on(mesh, points, normals, **changes):
             np.float32(mesh.face_normals),
             np.float32(mesh.area_faces),
             np.float32(properties.axes),
-            **(SETTINGS | changes),
+            **changes,
         )
     )
 
@@ -78,7 +77,6 @@ def test_always_a_finite_unit_tangent():
         np.zeros((1, 3), np.float32),
         np.zeros(1, np.float32),
         np.float32(mass_properties(flat.vertices, flat.faces).axes),
-        **SETTINGS,
     )
     assert np.isfinite(nothing).all()
 

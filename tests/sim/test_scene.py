@@ -102,7 +102,7 @@ def test_union_world_follows_the_single_object_scene(
     union = posed(union_model, scene, starts, row)
     single = posed(single_scene.model, single_scene, starts, row)
     if squeezing:
-        # Thumb and wraps close by 0.25 rad: they hit the object within the 100 steps.
+        # Thumb and wraps close: they hit the object within the 100 steps, if it is high enough.
         fingers = scene.addresses.robot_ctrl[7:19]
         for data in (union, single):
             data.ctrl[fingers[[3, 7, 11]]] += 0.6
@@ -118,7 +118,9 @@ def test_union_world_follows_the_single_object_scene(
         found = union.sensordata[scene.addresses.tip_force[:, 0]] > 0
         touched += found.any()
     assert union.ncon == single.ncon > 0  # on the table
-    assert (touched > 0) == squeezing or k > 0
+    # Of the dumbbell the fingertips pass above: it is 36 mm high, and the pads are at 60 mm.
+    high_enough = handmade_objects[k].name in ("box", "ball")
+    assert (touched > 0) == (squeezing and high_enough)
     np.testing.assert_allclose(union.qpos, single.qpos, atol=1e-6)
     np.testing.assert_allclose(union.sensordata, single.sensordata, atol=1e-4)
 

@@ -163,7 +163,8 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
     runs = {"schema": "mjx_grasp.training_runs/1", "provenance": PROVENANCE}
     told = ("preset", "engine", "privileged_critic", "seconds_with_compilation")
     told += ("steps_per_s", "training_success_percent", "training_force_n")
-    row = dict.fromkeys(told, 1.0) | run | {"provenance": PROVENANCE, "residual": "leaky"}
+    told_too = {"provenance": PROVENANCE, "residual": "leaky", "objects": ["eight"]}
+    row = dict.fromkeys(told, 1.0) | run | told_too
     (results / "training_runs.json").write_text(json.dumps(runs | {"rows": [row]}))
     squeezes = [
         replace(result("apple", n, 5.0), controller="squeeze", squeeze_force_n=c, force_mean_n=f)

@@ -20,7 +20,7 @@ import reach_tables
 import simulation_tables
 import stage_tables
 import tyro
-from stage_tables import NOTHING
+from stage_tables import NOTHING, short_revision
 
 from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
@@ -218,7 +218,7 @@ def _runs(paths: Sequence[Path]) -> str:
             f"{r['steps_per_s']:,.0f}",
             f"{r['training_success_percent']:.1f}",
             f"{r['training_force_n']:.1f}",
-            str(r["provenance"]["git"])[:12],
+            short_revision(r["provenance"]),
         )
         for r in rows
     )
@@ -238,7 +238,7 @@ def _shipped_policy(root: Path) -> str:
     made = meta["provenance"]
     return (
         f"`assets/policy.npz` has seen {meta['env_steps'] / 1e6:.1f} M steps on "
-        f"{len(meta['objects'])} objects; made on {made['device']} at {made['git'][:12]} by\n\n"
+        f"{len(meta['objects'])} objects; made on {made['device']} at {short_revision(made)} by\n\n"
         f"```sh\n{made['command']}\n```"
     )
 
@@ -254,7 +254,7 @@ def _provenance(paths: Sequence[Path], folder: Path) -> Table:
             (
                 f"[{name}](results/{name})",
                 f"`{made.get('command', '')}`",
-                f"{made.get('git', '')[:12]}{'-dirty' * str(made.get('git')).endswith('-dirty')}",
+                short_revision(made),
                 str(made.get("device", "")),
                 shown,
                 str(made.get("seed", "")),

@@ -138,6 +138,12 @@ def _before_and_after(d: dict[str, Any]) -> str:
     )
 
 
+def short_revision(made: dict[str, Any]) -> str:
+    """A provenance's revision, short; that it had uncommitted changes is not left out."""
+    revision = str(made.get("git", ""))
+    return revision[:12] + "-dirty" * revision.endswith("-dirty")
+
+
 def tests(path: Path) -> str:
     """What `make test` said in a fresh clone, by Python and JAX."""
     d = read(path)
@@ -153,7 +159,7 @@ def tests(path: Path) -> str:
             str(len(r["skipped"])),
             f"{r['test_s'] / 60:.1f}",
             f"{r['setup_s'] / 60:.1f}",
-            r["provenance"]["git"][:12],
+            short_revision(r["provenance"]),
         )
         for r in d["rows"]
     )

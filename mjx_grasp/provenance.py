@@ -50,7 +50,9 @@ def command_line() -> str:
 def git_revision() -> str:
     """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one.
 
-    Results do not count as changes: the one that is being made lies there while it is made.
+    In a copy it is what `make revision` wrote, also where the copy has a repository of its own that
+    does not know that commit. Results do not count as changes: the one that is being made lies
+    there while it is made.
     """
 
     def git(*args: str) -> str:
@@ -58,12 +60,19 @@ def git_revision() -> str:
             ["git", "-C", str(_root()), *args], capture_output=True, text=True, check=True
         ).stdout.strip()
 
+    stamp = _root() / "REVISION"
+    copied = stamp.read_text().strip() if stamp.is_file() else "unknown"
     try:
         revision = git("rev-parse", "HEAD")
-        return revision + ("-dirty" if git("status", "--porcelain", "--", ".", *_RESULTS) else "")
+        changed = git("status", "--porcelain", "--", ".", *_RESULTS)
     except (OSError, subprocess.CalledProcessError):
-        stamp = _root() / "REVISION"
-        return stamp.read_text().strip() if stamp.is_file() else "unknown"
+        return copied
+    try:
+        if copied != "unknown":
+            git("cat-file", "-e", copied.removesuffix("-dirty") + "^{commit}")
+    except subprocess.CalledProcessError:
+        return copied
+    return revision + ("-dirty" if changed else "")
 
 
 def file_digests(**paths: Path | None) -> dict[str, str]:

@@ -51,6 +51,32 @@ def test_revision_outside_a_checkout_is_the_stamp_or_unknown(tmp_path, monkeypat
     assert module.git_revision() == "abc123"
 
 
+def test_an_older_repository_in_a_copy_does_not_say_the_revision(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_root", lambda: tmp_path)
+
+    def git(*arguments):
+        who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        done = subprocess.run(
+            ["git", *who, "-C", str(tmp_path), *arguments], capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    git("init", "--quiet")
+    (tmp_path / ".gitignore").write_text("REVISION\n")
+    git("add", ".")
+    git("commit", "--quiet", "-m", "first")
+    head = git("rev-parse", "HEAD")
+    assert module.git_revision() == head
+    # A stamp of a commit that the repository knows may be old: the repository says what is there.
+    (tmp_path / "REVISION").write_text(f"{head}\n")
+    (tmp_path / "more.py").write_text("")
+    assert module.git_revision() == f"{head}-dirty"
+    # Sources of a commit that it does not know have come with the stamp.
+    (tmp_path / "REVISION").write_text("d32a703b909a42e9ead4fd6173be3e968671fd0f\n")
+    assert module.git_revision() == "d32a703b909a42e9ead4fd6173be3e968671fd0f"
+
+
 @pytest.mark.parametrize("name", ["mjx_grasp.train", "mjx_grasp.train.__main__"])
 def test_command_is_what_a_user_would_type(monkeypatch, name):
     main = SimpleNamespace(__spec__=SimpleNamespace(name=name))

@@ -37,6 +37,7 @@ from mjx_grasp.evaluation.tables import (
     condition_table,
     failure_table,
     force_table,
+    paired_table,
     read_groups,
     summary_table,
     throughput_table,
@@ -51,6 +52,10 @@ EXPLANATION = (
     "they begin from start states kept out of training, each used again with another offset where "
     "there are fewer than trials. Force is the net contact force per finger from lift onset. The "
     f"last columns are quoted from {paper.CITATION}."
+)
+PAIRS = (
+    "Differences in points of success, with 95 % bootstrap intervals over trials; how many trials "
+    "only one of the two lifted, and the chance of so uneven a split if both were equal."
 )
 LAYERS = (
     "Where a control tick goes, in ms, each loop holding the one before it: MuJoCo Warp alone "
@@ -166,6 +171,8 @@ def _all_tables(paths: Sequence[Path]) -> str:
     parts = [EXPLANATION]
     if len(groups) > 1:
         parts += ["### All conditions, means over the objects", summary_table(groups).markdown()]
+    if (pairs := paired_table(groups)).rows:
+        parts += [f"### {pairs.title}", pairs.markdown(), PAIRS]
     for condition, columns in groups.items():
         success = condition_table(condition, columns)
         parts += [f"### {success.title}", success.markdown()]

@@ -14,7 +14,7 @@ import tyro
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.closing.assemble import build_scene_of, build_world
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
@@ -46,7 +46,7 @@ def main(config: RecordConfig) -> None:
     world = build_world(scene, states_of(stored, [config.object], "evaluation"), ClosingConfig())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grasp.npz"
-        save_trajectory(path, best_grasp(world, config.object, policy, config.seed))
+        save_trajectory(path, best_grasp(world, config.object, policy, StartNoise(), config.seed))
         render_in_subprocess(VideoConfig(path, out=config.out, width=480, height=360))
     print(f"wrote {config.out}")
 

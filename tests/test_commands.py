@@ -63,8 +63,9 @@ def test_a_training_leaves_everything_behind(trained):
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     rows = results.rows
     assert [(r.controller, r.squeeze_force_n) for r in rows] == [
-        *(("policy", None), ("squeeze", 3.0), ("squeeze", 5.0), ("squeeze", 1.0)),
+        *(("policy", None), ("squeeze", 1.0), ("squeeze", 3.0), ("squeeze", 5.0)),
     ]
+    assert all(len(r.outcomes) == r.episodes == 2 for r in rows)
     assert "foam" in (trained / "report.html").read_text()
 
 
@@ -76,6 +77,22 @@ def test_a_finished_run_resumes_to_the_same_policy(trained):
     assert done.returncode == 0, done.stderr
     assert "resumed from iteration_00000002" in done.stderr
     assert (trained / "policy.npz").read_bytes() == before
+
+
+def test_a_run_goes_on_from_the_start_states_it_began_with(trained, tmp_path, monkeypatch, capsys):
+    states, run = tmp_path / "states.npz", tmp_path / "run"
+    states.write_bytes((trained / "handoffs.npz").read_bytes())
+    config = replace(stored_config(trained), handoffs=states, resume=None, out=run)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(job, "_build", lambda *_: None)
+    monkeypatch.setattr(job, "_run", lambda *_: None)
+    monkeypatch.setattr(job, "_made_handoffs", lambda *_: None)
+    train(config, Console(quiet=True))
+    train(stored_config(run), Console(quiet=True))
+    states.write_bytes(asset_path("handoffs_standins.npz").read_bytes())
+    status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
+    assert status == 2
+    assert "states.npz: found a changed file" in error and str(run) in error
 
 
 def test_a_run_is_never_overwritten(trained):

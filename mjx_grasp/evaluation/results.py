@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -17,6 +17,8 @@ from mjx_grasp.evaluation.statistics import mean_rate_interval
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
+OUTCOMES = {"successes": "S", "never_lifted": "L", "not_held": "H", "slipped": "P"}
+"""The letter of each outcome of a trial, by the row's count of it."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,21 @@ class ResultRow:
     """Sliding friction of the object's contacts [-]."""
     handoffs: str
     """Start states: 'ik' or 'reached'."""
+    outcomes: str = ""
+    """Trial by trial a letter of `OUTCOMES`, in the order in which the seed draws the starts; empty
+    where it was not kept."""
 
     def __post_init__(self):
-        counts = {n: getattr(self, n) for n in ("successes", "never_lifted", "not_held", "slipped")}
+        counts = {n: getattr(self, n) for n in OUTCOMES}
         if self.episodes < 1 or min(counts.values()) < 0:
             raise InputError("episodes", (self.episodes, counts), "a positive number and counts")
         if sum(counts.values()) != self.episodes:
             raise InputError(
                 "episodes", self.episodes, f"the sum of its outcomes, {sum(counts.values())}"
             )
+        letters = {n: self.outcomes.count(letter) for n, letter in OUTCOMES.items()}
+        if self.outcomes and (letters != counts or len(self.outcomes) != self.episodes):
+            raise InputError("outcomes", self.outcomes, f"as many of each as {counts}")
         low, high = self.ci95
         if not -1e-6 <= low <= self.success_percent + 1e-6 <= high + 2e-6 <= 100 + 3e-6:
             raise InputError("ci95", self.ci95, f"limits around {self.success_percent:.2f} %")
@@ -205,10 +213,11 @@ def _document(path: str | Path) -> dict[str, Any]:
 
 def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
     names = {f.name for f in fields(kind)}
+    needed = {f.name for f in fields(kind) if f.default is MISSING}
     where = f"row {index}"
     if not isinstance(values, dict):
         raise FileError(path, f"{where}: {type(values).__name__}", "an object per row")
-    for problem, keys in (("lacks", names - set(values)), ("has unknown", set(values) - names)):
+    for problem, keys in (("lacks", needed - set(values)), ("has unknown", set(values) - names)):
         if keys:
             raise FileError(
                 path, f"{where} {problem} {', '.join(sorted(keys))}", f"rows of {SCHEMAS[kind]}"

@@ -13,9 +13,10 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.assemble import World
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.closing.observation import policy_sizes
+from mjx_grasp.closing.success import FAILURES
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.results import ResultRow
+from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.trials import (
     Trials,
@@ -131,15 +132,17 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
     n, successes = len(trials.success), int(trials.success.sum())
     lifted = ~np.isnan(trials.force_mean)
     squeeze = config.controller == "squeeze"
+    failures = {name: getattr(trials, name) for name in FAILURES}
+    letters = np.full(n, OUTCOMES["successes"])
+    for failure, happened in failures.items():
+        letters[happened] = OUTCOMES[failure]
     return ResultRow(
         object=name,
         controller=config.controller,
         engine=config.engine,
         episodes=n,
         successes=successes,
-        never_lifted=int(trials.never_lifted.sum()),
-        not_held=int(trials.not_held.sum()),
-        slipped=int(trials.slipped.sum()),
+        **{failure: int(happened.sum()) for failure, happened in failures.items()},
         ci95=wilson_interval(successes, n),
         force_mean_n=float(trials.force_mean[lifted].mean()) if lifted.any() else None,
         force_peak_n=float(trials.force_peak[lifted].max()) if lifted.any() else None,
@@ -148,6 +151,7 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
         angle_deg=config.angle_deg,
         friction=config.friction,
         handoffs=handoff_kind,
+        outcomes="".join(letters),
     )
 
 

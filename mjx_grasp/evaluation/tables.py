@@ -7,15 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import (
+    OUTCOMES,
     ResultRow,
     Results,
     ThroughputRow,
     mean_success,
     read_results,
 )
+from mjx_grasp.evaluation.statistics import PairedComparison, compare_paired
 from mjx_grasp.table import Table
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
@@ -57,6 +61,8 @@ class Column(NamedTuple):
 
     label: str
     rows: dict[str, ResultRow]
+    draws: tuple[str, ...] = ()
+    """What the trials' starts were drawn from and by; two columns that share it are paired."""
 
     def mean(self) -> tuple[float, tuple[float, float]]:
         """Mean success over the objects and its 95 % interval [%]."""
@@ -84,7 +90,7 @@ def read_groups(paths: Iterable[str | Path]) -> Groups:
         results = read_results(path)
         try:
             label = str(results.extra.get("label", "policy"))
-            columns = _columns(results.rows, label, _meshes_of(results))
+            columns = _columns(results.rows, label, _meshes_of(results), _draws_of(results, path))
         except InputError as error:
             raise FileError(path, str(error.found), error.expected) from None
         for condition, column in columns:
@@ -146,6 +152,36 @@ def condition_table(
         )
     )
     return Table(_title_of(condition, columns), tuple(header), tuple(rows), summary=2)
+
+
+def paired_table(groups: Groups) -> Table:
+    """Each policy against each squeeze from the same starts, trial by trial; no line without both.
+
+    The difference is of the mean success over all trials; its interval takes them as independent.
+    """
+    rows = []
+    for condition, columns in groups.items():
+        squeezes = [c for c in columns if _is_squeeze(c)]
+        for policy in (c for c in columns if not _is_squeeze(c)):
+            for squeeze in squeezes:
+                if pair := _paired(policy, squeeze):
+                    low, high = pair.ci95
+                    rows.append(
+                        (
+                            condition.text(),
+                            f"{policy.label} − {squeeze.label}",
+                            f"{pair.difference:+.1f} ({low:+.1f} to {high:+.1f})",
+                            str(pair.only_first),
+                            str(pair.only_second),
+                            f"{pair.p_value:.1g}",
+                            " / ".join(_force(c.forces()[0]) for c in (policy, squeeze)),
+                        )
+                    )
+    header = (
+        *("condition", "pair", "success, points", "only the policy", "only the squeeze"),
+        *("p (McNemar)", "mean force N"),
+    )
+    return Table("Policy and squeeze from the same starts", header, tuple(rows), names=2)
 
 
 def force_table(condition: Condition, columns: Sequence[Column]) -> Table:
@@ -233,8 +269,39 @@ def _meshes_of(results: Results) -> str:
     return "real scans" if scans else "parametric stand-ins"
 
 
+def _draws_of(results: Results, path: Path) -> tuple[str, ...]:
+    """Seed, start states and objects; of a file that does not say so, the file itself."""
+    digest = results.extra.get("sha256", {}).get("handoffs")
+    settings = results.extra.get("settings", {})
+    if digest is None or not {"states", "objects"} <= settings.keys():
+        return (str(path),)
+    # The draws of an object go by its place among those that were asked for.
+    return (str(results.provenance["seed"]), digest, settings["states"], *settings["objects"])
+
+
+def _is_squeeze(column: Column) -> bool:
+    return next(iter(column.rows.values())).squeeze_force_n is not None
+
+
+def _paired(first: Column, second: Column) -> PairedComparison | None:
+    """Two columns trial by trial; None if their trials are not the same or were not kept."""
+    if first.draws != second.draws or not first.draws:
+        return None
+    trials = [
+        "".join(column.rows[name].outcomes for name in sorted(column.rows))
+        for column in (first, second)
+    ]
+    if not trials[0] or len(trials[0]) != len(trials[1]):
+        return None
+    lifted = (np.array(list(t)) == OUTCOMES["successes"] for t in trials)
+    return compare_paired(*lifted)
+
+
 def _columns(
-    rows: Sequence[ResultRow], policy_label: str = "policy", meshes: str = ""
+    rows: Sequence[ResultRow],
+    policy_label: str = "policy",
+    meshes: str = "",
+    draws: tuple[str, ...] = (),
 ) -> list[tuple[Condition, Column]]:
     """Rows by condition and controller."""
     parts: dict[ResultRow, dict[str, ResultRow]] = {}
@@ -257,7 +324,7 @@ def _columns(
             frozenset(part),
             meshes,
         )
-        found.append((condition, Column(label, part)))
+        found.append((condition, Column(label, part, draws)))
     return found
 
 
@@ -265,7 +332,7 @@ def _without_outcome(row: ResultRow) -> ResultRow:
     """The row's controller and condition alone, as a key."""
     return replace(
         row, object="", episodes=1, successes=1, never_lifted=0, not_held=0, slipped=0,
-        ci95=(0.0, 100.0), force_mean_n=None, force_peak_n=None,
+        ci95=(0.0, 100.0), force_mean_n=None, force_peak_n=None, outcomes="",
     )  # fmt: skip
 
 

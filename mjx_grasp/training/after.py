@@ -48,17 +48,10 @@ def evaluate_and_report(
     task, base = policy_task(policy), condition(config, folder / "results.json")
     rows: list[ResultRow] = []
     runs: list[Trials] = []
-    # Before training a policy adds nothing to its command: that is a squeeze of so much force.
-    for force in (None, *SQUEEZE_FORCES_N, task.grip_force):
-        squeeze = replace(base, controller="squeeze", squeeze_force=force or base.squeeze_force)
+    squeezes = baselines(base, task.grip_force)
+    for chosen, controller in ((base, policy), *((squeeze, None) for squeeze in squeezes)):
         new, trials = evaluate(
-            held_out,
-            states.object_names,
-            squeeze if force else base,
-            None if force else policy,
-            states.kind,
-            console,
-            task,
+            held_out, states.object_names, chosen, controller, states.kind, console, task
         )
         rows += new
         runs += trials.values()
@@ -69,9 +62,8 @@ def evaluate_and_report(
     console.print(untrained_note(task.grip_force))
 
     video, problem = folder / "grasp.mp4", None
-    save_trajectory(
-        folder / "grasp.npz", best_grasp(held_out, states.object_names[0], policy, base.seed)
-    )
+    shown = best_grasp(held_out, states.object_names[0], policy, config.noise, base.seed)
+    save_trajectory(folder / "grasp.npz", shown)
     try:
         render_in_subprocess(VideoConfig(folder / "grasp.npz", out=video))
     except RenderError as error:
@@ -104,16 +96,28 @@ def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
     )
 
 
-def best_grasp(world: World, name: str, policy: Policy, seed: int) -> Trajectory:
+def baselines(base: EvaluateConfig, untrained: float) -> list[EvaluateConfig]:
+    """The squeezes that a policy is compared with, each force once.
+
+    Args:
+        base: The condition.
+        untrained: Force of the policy's own command [N]: before training it adds nothing to it.
+    """
+    forces = sorted({*SQUEEZE_FORCES_N, untrained})
+    return [replace(base, controller="squeeze", squeeze_force=force) for force in forces]
+
+
+def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed: int) -> Trajectory:
     """A recorded episode of the policy on an object, a successful one if there is any among eight.
 
     Args:
         world: Scene and start states.
         name: An object with start states.
         policy: The policy.
+        noise: Of the starts.
         seed: Of the starts.
     """
-    task, noise = policy_task(policy), StartNoise()
+    task = policy_task(policy)
     env = world.env("mujoco", 8, task, noise, with_privileged=False)
     draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
     trials, qpos = record_trials(env, lambda obs: policy(obs["state"]), draw)

@@ -26,7 +26,7 @@ from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.provenance import provenance
+from mjx_grasp.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.training.after import evaluate_and_report
 from mjx_grasp.training.config import TrainConfig, to_json
@@ -45,6 +45,7 @@ def train(config: TrainConfig, console: Console) -> Path:
     require_wandb(config.loop.wandb_project)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
     stored = None if config.handoffs is None else load_handoffs(config.handoffs)
+    _check_same_handoffs(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, config.scene)
@@ -99,6 +100,25 @@ def _run(
         evaluate_and_report(folder, config, world, held_out, console)
 
 
+def _check_same_handoffs(config: TrainConfig) -> None:
+    """Refuses to resume on other start states than the run began with.
+
+    Raises:
+        FileError: The handoff file has changed since.
+    """
+    path = None if config.resume is None else config.resume / "provenance.json"
+    if path is None or config.handoffs is None or not path.is_file():
+        return
+    try:
+        began = json.loads(path.read_text()).get("sha256", {}).get("handoffs")
+    except (OSError, ValueError, AttributeError) as error:
+        raise FileError(path, f"no provenance ({error})", "that of the run to resume") from None
+    digest = file_digests(handoffs=config.handoffs)["handoffs"]
+    if began not in (None, digest):
+        what = f"the file that {config.resume} began with (SHA-256 {began[:12]})"
+        raise FileError(config.handoffs, f"a changed file (SHA-256 {digest[:12]})", what)
+
+
 def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
     """Splits objects into those with start states and those without.
 
@@ -131,7 +151,8 @@ def _open_run(config: TrainConfig) -> Path:
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
     check_writable("--out", folder / "config.json")
-    contents = (to_json(config), provenance(config.seed))
+    made_of = {"sha256": file_digests(handoffs=config.handoffs)}
+    contents = (to_json(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         with replacing(folder / name) as temporary:
             temporary.write_text(json.dumps(content, indent=2))

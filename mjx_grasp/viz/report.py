@@ -12,7 +12,13 @@ from typing import Any
 from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
-from mjx_grasp.evaluation.tables import condition_table, failure_table, force_table, read_groups
+from mjx_grasp.evaluation.tables import (
+    condition_table,
+    failure_table,
+    force_table,
+    paired_table,
+    read_groups,
+)
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
 
 _STYLE = """
@@ -104,13 +110,16 @@ def _results(paths: Sequence[str | Path]) -> str:
     if not paths:
         return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
     parts = []
-    for condition, columns in read_groups(paths).items():
+    groups = read_groups(paths)
+    for condition, columns in groups.items():
         parts.append(condition_table(condition, columns).html())
         if any(force is not None for c in columns for force in c.forces()):
             plot = success_against_force(columns)
             parts.append(_image(plot, "mean success against mean contact force"))
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
         parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")
+    if (pairs := paired_table(groups)).rows:
+        parts.append(pairs.html())
     extras = [read_results(path).extra for path in paths]
     untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
     return "".join([*parts, *(_note(untrained_note(force)) for force in untrained)])

@@ -71,6 +71,18 @@ def trials_of(n, overflow_ticks, broken):
     )
 
 
+def test_a_row_tells_trial_by_trial_what_came_of_it():
+    trials = trials_of(5, [0] * 5, [0] * 5)._replace(
+        success=np.array([1, 0, 0, 1, 0], bool),
+        never_lifted=np.array([0, 0, 1, 0, 0], bool),
+        slipped=np.array([0, 1, 0, 0, 0], bool),
+        not_held=np.array([0, 0, 0, 0, 1], bool),
+    )
+    row = module.summarise("box", trials, EvaluateConfig(out=Path("r.json"), episodes=5), "ik")
+    assert row.outcomes == "SPLSH"
+    assert (row.successes, row.never_lifted, row.slipped, row.not_held) == (2, 1, 1, 1)
+
+
 @pytest.mark.parametrize(
     ("overflow_ticks", "broken", "expected"),
     [

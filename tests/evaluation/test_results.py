@@ -49,8 +49,19 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
     assert set(document["rows"][0]) == {
         "object", "controller", "engine", "episodes", "successes", "never_lifted", "not_held",
         "slipped", "ci95", "force_mean_n", "force_peak_n", "squeeze_force_n", "offset_mm",
-        "angle_deg", "friction", "handoffs",
+        "angle_deg", "friction", "handoffs", "outcomes",
     }  # fmt: skip
+
+
+def test_rows_from_before_outcomes_were_kept_are_read(tmp_path):
+    path = tmp_path / "r.json"
+    write_results(path, [row()], PROVENANCE)
+    document = json.loads(path.read_text())
+    del document["rows"][0]["outcomes"]
+    path.write_text(json.dumps(document))
+    assert read_results(path).rows == (row(),)
+    write_results(path, [row(outcomes="SSLSSLSHPS")], PROVENANCE)
+    assert read_results(path).rows[0].outcomes == "SSLSSLSHPS"
 
 
 def test_throughput_rows_have_a_schema_of_their_own(tmp_path):
@@ -71,6 +82,8 @@ def test_throughput_rows_have_a_schema_of_their_own(tmp_path):
         ("ci95", (70.0, 90.0)),
         ("ci95", (10.0, 101.0)),
         ("handoffs", "home"),
+        ("outcomes", "SSSSSSLLHH"),
+        ("outcomes", "SSSSSSLLHPX"),
         ("force_mean_n", -1.0),
         ("force_peak_n", float("nan")),
         ("friction", float("inf")),

@@ -9,7 +9,7 @@ from rich.console import Console
 from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
-from mjx_grasp.training.after import condition
+from mjx_grasp.training.after import baselines, condition
 from mjx_grasp.training.config import preset_config
 
 
@@ -30,6 +30,17 @@ def test_the_evaluation_has_the_condition_of_the_training():
     assert asked.noise.angle_rad == pytest.approx(noise.angle_rad)
     assert asked.noise.friction == pytest.approx((0.5, 0.5))
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
+
+
+@pytest.mark.parametrize(
+    ("untrained", "forces"), [(1.0, [1.0, 3.0, 5.0]), (3.0, [3.0, 5.0]), (0.0, [0.0, 3.0, 5.0])]
+)
+def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
+    base = EvaluateConfig(out=Path("x.json"), offset_mm=2.0)
+    found = baselines(base, untrained)
+    assert [c.squeeze_force for c in found] == forces
+    assert {c.controller for c in found} == {"squeeze"}
+    assert {c.offset_mm for c in found} == {2.0}
 
 
 def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():

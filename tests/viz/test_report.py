@@ -2,6 +2,7 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -94,6 +95,18 @@ def test_a_gif_is_shown_as_a_picture(run):
     page = written(run, video=run / "grasp.gif")
     assert any(link.startswith("data:image/gif") for link in page.links)
     assert "video" not in page.tags
+
+
+def test_the_report_compares_trial_by_trial_where_the_trials_were_kept(run):
+    rows = [
+        replace(result(n, force), outcomes="S" * n + "L" * (64 - n))
+        for n, force in ((60, None), (40, 3.0))
+    ]
+    for results, said in (([result(60), result(40, 3.0)], False), (rows, True)):
+        write_results(run / "results.json", results, PROVENANCE)
+        text = written(run).text
+        assert ("policy − squeeze 3 N" in text) == said
+        assert ("+31.2 (" in text) == said
 
 
 def test_the_report_says_which_squeeze_is_the_untrained_policy(run):

@@ -107,10 +107,11 @@ def test_lift_rates_raise_the_palm_without_turning_it(joints, posed):
     np.testing.assert_allclose(twist, [0, 0, 0.15, 0, 0, 0], atol=0.01)
 
 
-@given(action=st.floats(-1, 1), start=st.floats(-0.25, 0.25))
-def test_leaky_residual_follows_its_recursion(action, start):
-    found = control.update_residual(jnp.full(9, start), jnp.full(9, action), CONFIG)
-    expected = np.clip(0.8 * start + 5.0 * 0.01 * action, -0.25, 0.25)
+@given(action=st.floats(-1, 1), start=st.floats(-0.25, 0.25), limit=st.floats(0.01, 0.25))
+def test_leaky_residual_follows_its_recursion(action, start, limit):
+    config = ClosingConfig(residual_limit=limit)
+    found = control.update_residual(jnp.full(9, start), jnp.full(9, action), config)
+    expected = np.clip(0.8 * start + 5.0 * 0.01 * action, -limit, limit)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

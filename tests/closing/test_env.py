@@ -245,6 +245,20 @@ def test_force_is_the_mean_and_the_peak_since_lift_onset(outcomes, name):
     np.testing.assert_allclose(outcomes[name].force_mean, 4.0, rtol=1e-4)
 
 
+def test_force_counts_every_finger_and_only_from_lift_onset_on(scene, starts):
+    """The mean over fingers and ticks, and the one finger that ever pressed hardest."""
+    script = lifting_script(starts, [0])
+    norms = np.random.default_rng(0).uniform(1.0, 5.0, (TICKS, 3)).astype(np.float32)
+    norms[10] = 50.0  # before the lift
+    norms[100] = [7.0, 30.0, 7.0]
+    direction = np.array([0.48, -0.6, 0.64], np.float32)
+    script.finger_force[:, 0] = norms[..., None] * direction
+    env = scripted_env(scene, starts, script)
+    trials = run_trials(env, zero_controller(env), draw_of([0]), 1)
+    np.testing.assert_allclose(trials.force_mean, norms[20:].mean(), rtol=1e-4)
+    np.testing.assert_allclose(trials.force_peak, 30.0, rtol=1e-5)
+
+
 def test_peak_rise_is_reported(outcomes):
     np.testing.assert_allclose(outcomes["held"].peak_rise, 0.12, atol=1e-5)
 

@@ -21,6 +21,7 @@ from mjx_grasp.errors import FileError, InputError
 sys.path.insert(0, str(Path(__file__).parent))
 import tiny_training as tiny
 
+from mjx_grasp.learning import ppo as ppo_module
 from mjx_grasp.learning import run as run_module
 from mjx_grasp.learning.checkpoint import (
     checkpoints,
@@ -30,7 +31,7 @@ from mjx_grasp.learning.checkpoint import (
 )
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.log import MetricLog
-from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks
+from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks, make_optimizer
 from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged, train_loop
 
 
@@ -76,6 +77,46 @@ def test_iteration_changes_what_it_should_and_counts(trained):
     assert sum(m["episodes"] for m in metrics) >= 1
     assert all(np.isfinite(m["total_loss"]) and m["broken_worlds"] == 0 for m in metrics)
     assert set(COLUMNS) - {"iteration", "env_steps", "seconds", "steps_per_s"} <= set(metrics[0])
+
+
+def test_what_hardly_changes_is_not_blown_up(trained):
+    """Flags that were always 0 in these short episodes, as an example."""
+    deviations = jnp.concatenate(jax.tree.leaves(trained[0][3].normalizer.std))
+    assert deviations.min() == pytest.approx(0.1) and deviations.max() > 0.1
+
+
+def test_every_epoch_takes_every_minibatch(trained):
+    steps = tiny.ppo().epochs * tiny.ppo().minibatches
+    assert [int(s.optimizer[-1].count) for s in trained[0]] == [0, steps, 2 * steps, 3 * steps]
+
+
+def test_the_settings_reach_the_loss(env, trained, monkeypatch):
+    given, loss = {}, ppo_module.losses.compute_ppo_loss
+
+    def spy(*arguments, **settings):
+        given.update(settings)
+        return loss(*arguments, **settings)
+
+    monkeypatch.setattr(ppo_module.losses, "compute_ppo_loss", spy)
+    config = tiny.ppo(
+        **dict(discount=0.9, gae_lambda=0.8, clip=0.1, entropy=0.02),
+        **dict(reward_scale=0.3, value_weight=0.7),
+    )
+    jax.eval_shape(make_iteration(config, env), trained[0][0])
+    del given["ppo_network"]
+    assert given == {
+        **dict(discounting=0.9, gae_lambda=0.8, clipping_epsilon=0.1, entropy_cost=0.02),
+        **dict(reward_scaling=0.3, vf_coefficient=0.7),
+    }
+
+
+def test_long_gradients_are_shortened_and_the_rate_is_the_configured_one():
+    optimizer = make_optimizer(tiny.ppo(gradient_norm=0.5, learning_rate=0.01))
+    gradient = {"w": jnp.array([30.0, -40.0]), "b": jnp.array([0.0])}
+    updates, state = optimizer.update(gradient, optimizer.init(gradient))
+    first_moment = state[-1].inner_state[0].mu["w"]  # Adam keeps a tenth of the first gradient
+    np.testing.assert_allclose(first_moment, [0.03, -0.04], rtol=1e-5)
+    np.testing.assert_allclose(updates["w"], [-0.01, 0.01], rtol=1e-3)
 
 
 def test_actor_sees_66_numbers_and_the_critic_more(env, trained):

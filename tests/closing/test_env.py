@@ -120,9 +120,11 @@ def test_two_contacts_wait_for_1_6_seconds_and_one_never_lifts(scene, starts):
 def test_observer_alone_can_land_fingers_and_start_the_lift(scene, starts):
     script = still(starts, [0], 30)
     script.external_torque[5:] = 0.3
-    states, _ = play(scripted_env(scene, starts, script), [0], 30)
+    states, out = play(scripted_env(scene, starts, script), [0], 30)
     lifting = np.asarray(states.episode.lifting[:, 0])
     assert lifting[-1] and 7 <= lifting.argmax() <= 9  # three ticks in a row
+    # The reward counts the solver's contacts: what the observer takes for one pays nothing.
+    np.testing.assert_allclose(out.reward[-1], 2.0, rtol=1e-5)
 
 
 def test_scripted_lift_commands_the_palm_up_by_its_height(scene, starts):
@@ -293,9 +295,10 @@ def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
 
 def test_world_that_is_no_number_is_reported_and_earns_nothing(scene, starts):
     script = still(starts, [0, 1], 3)
-    script.q[1:, 1] = np.nan
+    script.q[1:, 1] = script.qd[1:, 1] = np.nan
     _, out = play(scripted_env(scene, starts, script), [0, 1], 3)
     np.testing.assert_array_equal(out.broken, [[False, False], [False, True], [False, True]])
+    np.testing.assert_array_equal(out.reward[1:, 1], 0.0)
     assert np.isfinite(out.reward).all()
     assert np.isfinite(out.obs["state"][:, 0]).all()
 

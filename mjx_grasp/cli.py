@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
+from typing import NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -12,7 +14,7 @@ from mjx_grasp.errors import MjxGraspError
 
 
 def run_command(command: Callable[[], None]) -> None:
-    """Runs a command; an expected error ends it with its message and exit status 2."""
+    """Runs a command; an expected error ends it with its message and status 2, Ctrl-C with 130."""
     try:
         command()
     except MjxGraspError as error:
@@ -20,7 +22,18 @@ def run_command(command: Callable[[], None]) -> None:
         sys.exit(2)
     except KeyboardInterrupt as interrupt:
         print(str(interrupt) or "interrupted", file=sys.stderr)
-        sys.exit(130)
+        _end_now(130)
+
+
+def _end_now(status: int) -> NoReturn:
+    """Ends the process without Python's own clean-up.
+
+    What JAX and Warp still compute in threads of theirs would lose its memory to it: now and then
+    an interrupted command ended by a segmentation fault.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def counting_progress(console: Console | None, transient: bool = False) -> Progress:

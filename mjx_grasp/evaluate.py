@@ -46,7 +46,7 @@ def main(config: EvaluateConfig) -> None:
         sha256=file_digests(policy=file, handoffs=handoffs),
         **incidents(trials.values()),
     )
-    Console().print(success_table(rows))
+    Console().print(success_table(rows, scans=config.objects_dir is not None))
     console.print(f"written: {config.out}")
 
 

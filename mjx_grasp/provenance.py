@@ -13,6 +13,8 @@ from typing import Any
 
 # What commands make, tables and pictures: no part of what made them.
 _RESULTS = (":(exclude)experiments/results", ":(exclude)docs")
+# New files there take part without being named: modules, and what a package ships.
+_SOURCES = ("*.py", "mjx_grasp", "assets")
 _PACKAGES = ("mjx_grasp", "jax", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy", "trimesh")
 
 
@@ -52,7 +54,8 @@ def git_revision() -> str:
 
     In a copy it is what `make revision` wrote, also where the copy has a repository of its own that
     does not know that commit. Results do not count as changes: the one that is being made lies
-    there while it is made.
+    there while it is made. Nor do new files count that are no part of the package or its scripts,
+    such as what commands wrote into the repository.
     """
 
     def git(*args: str) -> str:
@@ -64,7 +67,8 @@ def git_revision() -> str:
     copied = stamp.read_text().strip() if stamp.is_file() else "unknown"
     try:
         revision = git("rev-parse", "HEAD")
-        changed = git("status", "--porcelain", "--", ".", *_RESULTS)
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", *_RESULTS)
+        new = git("ls-files", "--others", "--exclude-standard", "--", *_SOURCES)
     except (OSError, subprocess.CalledProcessError):
         return copied
     try:
@@ -72,7 +76,7 @@ def git_revision() -> str:
             git("cat-file", "-e", copied.removesuffix("-dirty") + "^{commit}")
     except subprocess.CalledProcessError:
         return copied
-    return revision + ("-dirty" if changed else "")
+    return revision + ("-dirty" if changed or new else "")
 
 
 def file_digests(**paths: Path | None) -> dict[str, str]:

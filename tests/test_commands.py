@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -176,6 +177,31 @@ def test_a_number_of_worlds_is_not_replaced_by_what_fits(monkeypatch):
         assert asked.ppo.worlds == 64 and not asked.fit_memory
     with pytest.raises(InputError, match="--fit-memory"):
         parse(["--preset", "gpu", "--ppo.worlds", "64", "--fit-memory"])
+
+
+def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monkeypatch, tmp_path):
+    stored = load_handoffs(asset_path("handoffs_standins.npz"))
+    names, seen = ("rubiks_cube", "apple"), {}
+    scene = SimpleNamespace(object_names=names)
+    keep = {
+        "build_scene_of": lambda *_: scene,
+        "build_world": lambda scene, states, task: seen.setdefault("training", states) and world,
+        "evaluate_and_report": lambda *given: seen.setdefault("evaluation", given[3]),
+    }
+    world = SimpleNamespace(scene=scene, env=lambda *_: None)
+    skipped = ("BraxClosingEnv", "init_state", "train_loop", "_save_policy")
+    for name, instead in (keep | {name: lambda *_: None for name in skipped}).items():
+        monkeypatch.setattr(job, name, instead)
+    asked = replace(
+        preset_config("cpu"),
+        objects=names,
+        handoffs=asset_path("handoffs_standins.npz"),
+        out=tmp_path / "run",
+    )
+    train(asked, Console(quiet=True))
+    places = {part: {tuple(p) for p in states.object_pos} for part, states in seen.items()}
+    assert not places["training"] & places["evaluation"]
+    assert len(seen["training"]) + len(seen["evaluation"]) == len(stored.select(names))
 
 
 def refused(config, *, match):

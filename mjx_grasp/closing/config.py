@@ -58,7 +58,7 @@ class ClosingConfig:
     """λ of the arm's damped least squares [m²]."""
 
     guidance_speed: float = 0.08
-    """v_max [m/s]."""
+    """v_max: speed of the guided pads towards their contacts [m/s]."""
     guidance_slowdown: float = 0.02
     """ε_p: distance to the contact below which the speed falls [m]."""
     guidance_return: float = 4.0
@@ -80,18 +80,24 @@ class ClosingConfig:
     acquisition_s: float = 1.6
     """After this time two fingers suffice for the lift [s]."""
     acquisition_fingers: int = 2
+    """Fingers that suffice then."""
 
     reach_weight: float = 3.0
+    """Reward per tick of pads that move as the guidance says, before the lift."""
     reach_scale: float = 0.5
     """s of the reach reward [-]."""
     reach_floor: float = 0.02
     """ε of the reach reward [m/s]."""
     contact_weight: float = 1.0
+    """Reward per tick and fingertip that touches the object."""
     lift_weight: float = 2.0
+    """Reward per tick of a palm that rises as the script says, in the lift."""
     lift_reward_scale: float = 0.1
     """Width of the lift reward [m/s]."""
     action_rate_weight: float = -0.01
+    """Times the squared change of the action between two ticks."""
     action_acceleration_weight: float = -0.005
+    """Times the squared second difference of the action."""
 
     observer_gain: float = 50.0
     """K of the momentum observer [1/s]."""

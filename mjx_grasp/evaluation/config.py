@@ -19,6 +19,7 @@ class EvaluateConfig:
     out: Path
     """Results file (JSON)."""
     controller: Literal["policy", "squeeze"] = "policy"
+    """The trained policy, or the model-based command alone with --squeeze-force."""
     objects: tuple[str, ...] = ("eight",)
     """Objects or groups (eight, train, held_out, all); those without start states are reported."""
     objects_dir: Path | None = None
@@ -26,7 +27,9 @@ class EvaluateConfig:
     episodes: int = 64
     """Episodes per object."""
     engine: Engine = "mujoco"
+    """What steps the physics: mujoco (native, in threads) or mjx (Warp, GPU or CPU)."""
     seed: int = 0
+    """Of the starts: every controller gets the same ones from the same seed."""
     policy: Path | None = None
     """Policy file; the shipped one by default."""
     handoffs: Path | None = None

@@ -23,6 +23,7 @@ from mjx_grasp.evaluation.statistics import PairedComparison, compare_paired
 from mjx_grasp.table import Table
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
+_MESHES = {True: "real scans", False: "parametric stand-ins"}
 _HANDOFFS = {"ik": "IK handoffs", "reached": "reached handoffs"}
 
 
@@ -107,14 +108,22 @@ def read_groups(paths: Iterable[str | Path]) -> Groups:
     return dict(sorted(groups.items(), key=lambda item: _condition_order(item[0])))
 
 
-def success_table(rows: Sequence[ResultRow], with_paper: bool = True) -> Table:
+def success_table(
+    rows: Sequence[ResultRow], with_paper: bool = True, *, scans: bool | None = None
+) -> Table:
     """The table of `condition_table` from the rows of one run.
+
+    Args:
+        rows: Of one condition.
+        with_paper: Whether the publication's figures stand beside them.
+        scans: Whether the objects are real scans; the title does not say if None.
 
     Raises:
         InputError: The rows are of several conditions, or repeat an outcome.
     """
     groups: Groups = {}
-    for condition, column in _columns(rows):
+    meshes = "" if scans is None else _MESHES[scans]
+    for condition, column in _columns(rows, meshes=meshes):
         groups.setdefault(condition, []).append(column)
     if len(groups) != 1:
         raise InputError("rows", f"{len(groups)} conditions", "rows of one condition")
@@ -168,7 +177,7 @@ def paired_table(groups: Groups) -> Table:
                     low, high = pair.ci95
                     rows.append(
                         (
-                            condition.text(),
+                            condition.short(),
                             f"{policy.label} − {squeeze.label}",
                             f"{pair.difference:+.1f} ({low:+.1f} to {high:+.1f})",
                             str(pair.only_first),
@@ -265,8 +274,7 @@ def _loop_name(row: ThroughputRow) -> str:
 
 def _meshes_of(results: Results) -> str:
     """Scans come from a folder that the command names."""
-    scans = "--objects-dir" in str(results.provenance["command"])
-    return "real scans" if scans else "parametric stand-ins"
+    return _MESHES["--objects-dir" in str(results.provenance["command"])]
 
 
 def _draws_of(results: Results, path: Path) -> tuple[str, ...]:

@@ -68,17 +68,23 @@ class ObjectReport:
 # The table joins reasons that are alike; the JSON keeps them apart.
 _COLUMNS = {
     "no IK": ("unreachable", "limits"),
-    "reach axis": ("reach-axis",),
+    "axis": ("reach-axis",),
     "self": ("self",),
     "arm": ("arm-table", "arm-object"),
-    "hand–table": ("hand-table",),
-    "hand–object": ("hand-object",),
+    "table": ("hand-table",),
+    "object": ("hand-object",),
 }
+_CAPTION = (
+    "tried, and refused for: no inverse kinematics; an axis that the selection would not take; a "
+    "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
+    "are the others, kept as many as were asked for, few of each candidate."
+)
 
 
 def report_table(reports: Sequence[ObjectReport]) -> Table:
     """The per-object table that the command prints."""
     table = Table(title="Pre-grasps: pairs of object pose and candidate", box=SIMPLE, padding=0)
+    table.caption, table.caption_justify = _CAPTION, "left"
     table.add_column("object", no_wrap=True)
     for column in ("tried", *_COLUMNS, "feasible", "kept", "s"):
         table.add_column(column, justify="right")

@@ -44,6 +44,7 @@ class SceneConfig:
     solver_iterations: int = 20
     """Most Newton iterations of a step; on a GPU all worlds wait for the one that needs most."""
     line_search_iterations: int = 20
+    """Most line-search steps of a Newton iteration."""
     fix_idle_fingers: bool = False
     """Whether fingers that take no part in a grasp are rigid. Faster, and for training only:
     evaluation moves every joint."""
@@ -215,7 +216,8 @@ def _add_object_body(
         body.fullinertia = [
             inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         ]
-    colours = np.array([[0.85, 0.37, 0.25, 1], [0.25, 0.55, 0.80, 1], [0.35, 0.70, 0.40, 1]])
+    # Apart from the fingertips' red, green and blue.
+    colours = np.array([[0.95, 0.76, 0.30, 1], [0.62, 0.48, 0.78, 1], [0.85, 0.72, 0.58, 1]])
     for k, obj in enumerate(objects):
         for i, piece in enumerate(obj.pieces):
             common = dict(

@@ -27,7 +27,7 @@ class TrainConfig:
     as the other settings' defaults is what the preset sets. paper has the published actions, critic
     and number of worlds and steps; what the publication leaves open is as in the others."""
     objects: tuple[str, ...] = ("eight",)
-    """Objects or groups of the catalogue to train on."""
+    """Objects of the catalogue, or groups (eight, train, held_out, all), to train on."""
     objects_dir: Path | None = None
     """Folder of real scans; parametric stand-ins without one."""
     handoffs: Path | None = None
@@ -39,7 +39,9 @@ class TrainConfig:
     resume: Path | None = None
     """Folder of a run to continue; its own configuration is used."""
     engine: Engine = "mjx"
+    """What steps the physics: mjx (Warp, GPU or CPU) or mujoco (native, in threads)."""
     seed: int = 0
+    """Of start states, parameters and exploration; on a GPU a run does not quite repeat itself."""
     fit_memory: bool = False
     """Take as many worlds as the device's memory holds, 8,192 at most: beyond that a training is no
     faster. Off where --ppo.worlds is given."""

@@ -66,7 +66,8 @@ def training_curves(metrics: Metrics) -> bytes:
         values = factor * metrics.get(name, np.full(len(steps), np.nan))
         known = np.isfinite(values) & np.isfinite(steps)
         if not known.any():
-            ax.text(0.5, 0.5, "not recorded", ha="center", color=_GREY, transform=ax.transAxes)
+            why = "no whole episode ended" if name in metrics else "not recorded"
+            ax.text(0.5, 0.5, why, ha="center", color=_GREY, transform=ax.transAxes)
             continue
         x, y = steps[known], values[known]
         ax.plot(x, y, color=_BLUE, alpha=0.25, linewidth=1)
@@ -123,7 +124,7 @@ def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
-        _front(ax, [p._replace(label=p.label.removeprefix("squeeze ")) for p in part], (-26, 4))
+        _front(ax, [p._replace(label=p.label.removeprefix("squeeze ")) for p in part], (-17, 10))
         for point in part:
             if not point.is_squeeze:
                 shown[point.label] = _dot(ax, point, *looks[point.label])

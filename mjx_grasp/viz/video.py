@@ -15,6 +15,7 @@ from typing import Annotated
 
 import tyro
 
+from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.viz.trajectory import load_trajectory
@@ -37,7 +38,7 @@ class VideoConfig:
     """Renders a recorded trajectory, without a display, to a video, a GIF or one picture."""
 
     trajectory: Annotated[Path, tyro.conf.Positional]
-    """The trajectory (.npz), as training and evaluation write it."""
+    """The trajectory (.npz), as a training leaves it in its folder."""
     out: Path = Path("grasp.mp4")
     """Where to write: .mp4, .gif (looping, within --max-mb) or .png (the middle of the motion)."""
     width: int = 640
@@ -110,6 +111,7 @@ def _try_backend(config: VideoConfig, backend: str, timeout_s: float) -> str | N
 
 def main(config: VideoConfig) -> None:
     """Renders here if MUJOCO_GL names a backend, else in a process where it does."""
+    check_writable("--out", config.out)
     if os.environ.get("MUJOCO_GL", "").lower() not in BACKENDS:
         render_in_subprocess(config)
         print(f"written: {config.out}")

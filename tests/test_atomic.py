@@ -1,5 +1,7 @@
 """Files are whole or not there, and what cannot be written is refused beforehand."""
 
+import json
+
 import pytest
 
 from mjx_grasp.atomic import check_writable, replacing, write_json
@@ -14,6 +16,15 @@ def test_a_writer_that_fails_leaves_the_file_as_it_was(tmp_path):
         temporary.write_text("half")
         raise RuntimeError
     assert path.read_text() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_whoever_reads_while_a_file_is_replaced_has_the_old_one_whole(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"old": 1})
+    with path.open() as reader:
+        write_json(path, {"new": 2})
+        assert json.load(reader) == {"old": 1}
+    assert json.loads(path.read_text()) == {"new": 2}
 
 
 def test_a_file_in_folders_that_are_not_there_yet_can_be_written(tmp_path):

@@ -57,6 +57,16 @@ def test_critic_is_told_of_the_object_the_stage_and_the_forces(starts):
     assert (critic(base, contacts, normals, lifting=1.0) != seen).any()
 
 
+@given(shift=st.tuples(*[st.floats(-2, 2)] * 3))
+def test_critic_does_not_see_where_in_the_world_it_all_is(starts, shift):
+    base, by = rows(starts, slice(0, 1)), jnp.asarray(shift, jnp.float32)
+    places = ("object_pos", "palm_pos", "pad_pos")
+    moved = base._replace(**{name: getattr(base, name) + by for name in places})
+    found = critic(moved, starts.contacts[:1] + by, starts.normals[:1])
+    straight = critic(base, starts.contacts[:1], starts.normals[:1])
+    np.testing.assert_allclose(found, straight, atol=2e-4)
+
+
 @given(angle=st.floats(-3, 3))
 def test_critic_sees_vectors_relative_to_the_palm(starts, angle):
     """Turning the world about the vertical changes only the object's own quaternion."""

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.training import after
 from mjx_grasp.training.after import baselines, condition
 from mjx_grasp.training.config import preset_config
 
@@ -30,6 +33,22 @@ def test_the_evaluation_has_the_condition_of_the_training():
     assert asked.noise.angle_rad == pytest.approx(noise.angle_rad)
     assert asked.noise.friction == pytest.approx((0.5, 0.5))
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
+
+
+def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path):
+    config = preset_config("cpu")
+    assert config.scene.fix_idle_fingers and not preset_config("paper").scene.fix_idle_fingers
+    (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())
+
+    def asked(objects, robot, scene):
+        raise Asked(objects, scene)
+
+    monkeypatch.setattr(after, "build_scene", asked)
+    world = SimpleNamespace(scene=SimpleNamespace(objects=("these",)))
+    with pytest.raises(Asked) as evaluation:
+        after.evaluate_and_report(tmp_path, config, world, None, Console(quiet=True))
+    moving = replace(config.scene, fix_idle_fingers=False)
+    assert evaluation.value.args == (("these",), moving)
 
 
 @pytest.mark.parametrize(

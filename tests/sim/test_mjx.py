@@ -10,6 +10,7 @@ from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.closing.env import ClosingEnv
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.sim import mjx_engine
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.physics import make_params, policy_dofs
 from mjx_grasp.sim.scene import build_scene
@@ -149,6 +150,17 @@ def test_full_buffers_are_reported(scene, starts, params, buffers):
     state = physics.init(starts.qpos[ROWS], starts.ctrl[ROWS])
     _, readings = jax.jit(physics.step)(state, params, starts.ctrl[ROWS])
     assert readings.overflow.any()
+
+
+def test_a_buffer_that_was_full_in_any_physics_step_is_reported(
+    mjx_physics, rest, params, starts, monkeypatch
+):
+    monkeypatch.setattr(mjx_engine, "_buffer_overflow", lambda data: jnp.asarray(next(full)))
+    full = iter(np.eye(mjx_physics.substeps, len(ROWS), dtype=bool))
+    # A function of its own, for the compiled step of the other tests is kept.
+    step = jax.jit(lambda *given: mjx_physics.step(*given))
+    _, readings = step(rest, params, starts.ctrl[ROWS])
+    assert next(full, None) is None and readings.overflow.all()
 
 
 @pytest.mark.parametrize(("world", "touched"), [(0, True), (2, False)], ids=["box", "dumbbell"])

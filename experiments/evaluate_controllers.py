@@ -105,7 +105,8 @@ def main(config: ComparisonConfig) -> None:
             # Written as it grows: an interrupted comparison keeps what it has.
             made = provenance(config.seed)
             write_results(config.out, rows, made, not_eligible=without, **made_of, **counted)
-        Console().print(success_table(rows[-len(names) * (1 + len(config.squeeze_forces)) :]))
+        done = rows[-len(names) * (1 + len(config.squeeze_forces)) :]
+        Console().print(success_table(done, scans=config.objects_dir is not None))
 
 
 if __name__ == "__main__":

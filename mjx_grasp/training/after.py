@@ -58,7 +58,7 @@ def evaluate_and_report(
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
     write_results(base.out, rows, made, label=label, untrained_n=task.grip_force, **counted)
-    console.print(success_table(rows))
+    console.print(success_table(rows, scans=config.objects_dir is not None))
     console.print(untrained_note(task.grip_force))
 
     video, problem = folder / "grasp.mp4", None

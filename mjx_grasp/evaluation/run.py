@@ -132,7 +132,7 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
     n, successes = len(trials.success), int(trials.success.sum())
     lifted = ~np.isnan(trials.force_mean)
     squeeze = config.controller == "squeeze"
-    failures = {name: getattr(trials, name) for name in FAILURES}
+    failures = {failure: getattr(trials, failure) for failure in FAILURES}
     letters = np.full(n, OUTCOMES["successes"])
     for failure, happened in failures.items():
         letters[happened] = OUTCOMES[failure]

@@ -55,9 +55,9 @@ EXPLANATION = (
 )
 PAIRS = (
     "Differences in points of success, with 95 % bootstrap intervals over trials; how many trials "
-    "only one of the two lifted, and the chance of so uneven a split if both were equal. Trials that "
-    "begin from the same state often end alike: intervals and chances that take them as independent "
-    "are too narrow."
+    "only one of the two lifted, and the chance of so uneven a split if both were equal. Trials "
+    "that begin from the same state often end alike: intervals and chances that take them as "
+    "independent are too narrow."
 )
 LAYERS = (
     "Where a control tick goes, in ms, each loop holding the one before it: MuJoCo Warp alone "

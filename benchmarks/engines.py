@@ -23,16 +23,16 @@ import jax.numpy as jnp
 import tyro
 from jaxtyping import Array
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import Engine, World, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
-from mjx_grasp.closing.env import ClosingEnv, EnvState
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import Engine, World, build_scene_of, build_world
+from mjx_grasp.tasks.closing import ClosingEnv, EnvState
 
 SCHEMA = "mjx_grasp.engines/1"
 

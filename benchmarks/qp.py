@@ -24,18 +24,18 @@ import numpy as np
 import qpax
 import tyro
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
-from mjx_grasp.provenance import provenance
-from mjx_grasp.reaching.body import reach_body
+from mjx_grasp.evaluation.reach.poses import draw_poses
+from mjx_grasp.evaluation.reach.problems import draw_problems, kkt_residuals, solution_errors
+from mjx_grasp.evaluation.reach.sweep import plan_all
+from mjx_grasp.posture.body import reach_body
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.poses import draw_poses
 from mjx_grasp.reaching.presets import for_sweep, preset
-from mjx_grasp.reaching.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
-from mjx_grasp.reaching.sweep import plan_all
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
 _PERCENTILES = (50, 90, 99, 100)

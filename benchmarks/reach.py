@@ -30,20 +30,20 @@ import mujoco
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
+from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.provenance import provenance
-from mjx_grasp.reaching.body import FINGERS, reach_body
+from mjx_grasp.grasp import select
+from mjx_grasp.posture.body import FINGERS, reach_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.poses import CylinderPoses, draw_poses
 from mjx_grasp.reaching.presets import Preset, for_sweep, preset
-from mjx_grasp.reaching.sweep import candidates_of, plan_all
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.selection import select
 
 _TABLE = ((0.35, 0.0, -0.02), (0.65, 0.70, 0.02))
 # A reach has converged when every tip is this near [m], and is given up after this long [s].

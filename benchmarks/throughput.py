@@ -35,7 +35,6 @@ from brax.training import acting
 from brax.training.agents.ppo import networks
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -43,9 +42,10 @@ from mjx_grasp.learning import ppo
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.memory import bytes_per_world
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import build_scene_of, build_world
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 
 SCHEMA = "mjx_grasp.training_runs/1"
 _LAST = 20  # iterations that the final figures are averaged over

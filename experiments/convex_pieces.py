@@ -17,14 +17,14 @@ from rich.console import Console
 from rich.progress import track
 from simulation_tables import pieces_table
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.convex import ConvexConfig, single_hull
 from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.objects.model import ObjectModel, load_object
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 
 SCHEMA = "mjx_grasp.convex_pieces/1"
 

@@ -16,9 +16,7 @@ import tyro
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.atomic import as_json
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import Engine, build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
@@ -28,8 +26,10 @@ from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
-from mjx_grasp.provenance import file_digests, provenance
+from mjx_grasp.records.atomic import as_json
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import Engine, build_scene_of, build_world
 
 CONDITIONS = {
     "nominal": dict(offset_mm=5.0, angle_deg=0.0, friction=0.8),

@@ -15,10 +15,10 @@ import tyro
 from policy_tables import evaluated_policies, squeezes_by_condition
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.tables import Column
+from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.viz.plots import success_against_force_by_condition
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -15,7 +15,6 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.sampling import best_triple
@@ -23,7 +22,8 @@ from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import subject_of

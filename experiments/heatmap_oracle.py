@@ -18,13 +18,13 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "heatmap"))

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmaps
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.heatmap_ranking/1"

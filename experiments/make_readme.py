@@ -22,7 +22,6 @@ import stage_tables
 import tyro
 from stage_tables import NOTHING, short_revision
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
@@ -43,7 +42,8 @@ from mjx_grasp.evaluation.tables import (
     throughput_table,
 )
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.table import Table
+from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"

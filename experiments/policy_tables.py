@@ -19,7 +19,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.table import Table
+from mjx_grasp.records.table import Table
 
 
 class Evaluated(NamedTuple):

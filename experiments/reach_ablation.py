@@ -14,13 +14,13 @@ import tyro
 from reach_tables import ablation_table
 from rich.console import Console
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.provenance import provenance
-from mjx_grasp.reaching.poses import TUNING_SEEDS
+from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS
+from mjx_grasp.evaluation.reach.run import run_sweep
 from mjx_grasp.reaching.presets import PRESETS
-from mjx_grasp.reaching.sweep_run import run_sweep
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sweep_reach import SweepConfig
 

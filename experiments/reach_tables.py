@@ -11,9 +11,9 @@ from typing import Any
 
 from stage_tables import NOTHING, read
 
-from mjx_grasp.reaching.results import PAPER_HANDOFF_MM, PAPER_RATE
-from mjx_grasp.reaching.sweep import BUDGETS
-from mjx_grasp.table import Table
+from mjx_grasp.evaluation.reach.results import PAPER_HANDOFF_MM, PAPER_RATE
+from mjx_grasp.evaluation.reach.sweep import BUDGETS
+from mjx_grasp.records.table import Table
 
 
 def reach_rates(path: Path) -> str:

@@ -13,14 +13,14 @@ import tyro
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.evaluation.run import load_controller
+from mjx_grasp.evaluation.trajectory import save_trajectory
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import build_scene_of, build_world
 from mjx_grasp.training.after import best_grasp
-from mjx_grasp.viz.trajectory import save_trajectory
 from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
 
 

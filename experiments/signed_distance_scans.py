@@ -26,7 +26,6 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.geometry.distance_field import distance_field
@@ -37,8 +36,9 @@ from mjx_grasp.geometry.signed_distance import (
 )
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.provenance import provenance
-from mjx_grasp.table import Table
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.table import Table
 
 SCHEMA = "mjx_grasp.signed_distance/2"
 # Step of the finite differences, [m]: so small that hardly any cross a cell's border.

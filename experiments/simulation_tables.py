@@ -12,7 +12,7 @@ from typing import Any
 
 from stage_tables import NOTHING
 
-from mjx_grasp.table import Table
+from mjx_grasp.records.table import Table
 
 
 def convex_pieces(path: Path) -> str:

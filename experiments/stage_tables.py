@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjx_grasp.table import Table
+from mjx_grasp.records.table import Table
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
 NOTHING = "_No results file yet._"

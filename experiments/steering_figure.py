@@ -18,7 +18,6 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
 from mjx_grasp.heatmap import Heatmap, compute_heatmap, steer
@@ -29,7 +28,8 @@ from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of

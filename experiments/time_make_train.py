@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from mjx_grasp.atomic import check_writable, replacing
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.provenance import command_line
+from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.provenance import command_line
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -20,13 +20,13 @@ from typing import Any
 import tyro
 from time_make_train import ROOT, fresh_clone
 
-from mjx_grasp.atomic import check_writable, write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.provenance import command_line
+from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.provenance import command_line
 
 SCHEMA = "mjx_grasp.tests/1"
-_PROVENANCE = "import json, mjx_grasp.provenance as p; print(json.dumps(p.provenance(0)))"
+_PROVENANCE = "import json, mjx_grasp.records.provenance as p; print(json.dumps(p.provenance(0)))"
 
 
 @dataclass(frozen=True)

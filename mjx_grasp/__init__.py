@@ -37,7 +37,7 @@ _PUBLIC = {
     "MjxPhysics": "mjx_grasp.sim.mjx_engine",
     "NativePhysics": "mjx_grasp.sim.native",
     "ClosingConfig": "mjx_grasp.closing.config",
-    "ClosingEnv": "mjx_grasp.closing.env",
+    "ClosingEnv": "mjx_grasp.tasks.closing",
     "load_policy": "mjx_grasp.learning.policy",
 }
 

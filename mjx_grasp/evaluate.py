@@ -8,9 +8,7 @@ import tyro
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.atomic import as_json, check_writable
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.assemble import build_scene_of, build_world
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import write_results
@@ -19,8 +17,10 @@ from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
-from mjx_grasp.provenance import file_digests, provenance
+from mjx_grasp.records.atomic import as_json, check_writable
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import build_scene_of, build_world
 
 
 def main(config: EvaluateConfig) -> None:

@@ -22,7 +22,6 @@ import trimesh
 import tyro
 from rich.console import Console
 
-from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.geometry.mesh import mass_properties
@@ -36,7 +35,8 @@ from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, catalogue_entry, find_meshes
 from mjx_grasp.objects.meshes import read_mesh
 from mjx_grasp.objects.refine import refined
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import check_writable
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import subject_of

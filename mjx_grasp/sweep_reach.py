@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import tyro
 from rich.console import Console
 
-from mjx_grasp.atomic import check_writable, replacing, write_json
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import check_writable, replacing, write_json
+from mjx_grasp.records.provenance import provenance
 
 if TYPE_CHECKING:
     from mjx_grasp.reaching.presets import Preset
@@ -78,7 +78,7 @@ def check_gallery(config: SweepConfig) -> None:
 
 def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) -> dict[str, Any]:
     """The contents of a results file."""
-    from mjx_grasp.reaching.poses import TUNING_SEEDS, PoseDistribution
+    from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution
 
     return {
         "provenance": provenance(config.seed),
@@ -98,9 +98,9 @@ def main() -> None:
             check_writable(name, getattr(config, name))
     check_gallery(config)
     # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
+    from mjx_grasp.evaluation.reach.results import rate_table, residual_table
+    from mjx_grasp.evaluation.reach.run import run_sweep
     from mjx_grasp.reaching.presets import for_sweep, preset
-    from mjx_grasp.reaching.results import rate_table, residual_table
-    from mjx_grasp.reaching.sweep_run import run_sweep
     from mjx_grasp.robot.spec import load_robot
 
     console = Console()
@@ -122,7 +122,7 @@ def main() -> None:
         write_json(config.out, results_file(config, settings, run.result))
         console.print(f"written: {config.out}")
     if config.plot or config.gallery:
-        from mjx_grasp.reaching.pictures import failure_gallery, rate_plot
+        from mjx_grasp.viz.reach import failure_gallery, rate_plot
 
         if config.plot:
             with replacing(config.plot) as temporary:

@@ -24,21 +24,10 @@ if os.environ["JAX_PLATFORMS"] == "cpu":
     os.environ.setdefault("XLA_FLAGS", flags)
 
 # Before anything of the package is imported. Modules whose functions are called with arrays of
-# JAX alone; `closing.env` is left out, for its engine is a protocol that cannot be checked.
+# JAX alone; `tasks.closing` is left out, for its engine is a protocol that cannot be checked.
 CHECKED = (
-    *(
-        f"mjx_grasp.closing.{name}"
-        for name in (
-            "control",
-            "guidance",
-            "observation",
-            "observer",
-            "rewards",
-            "stages",
-            "starts",
-            "success",
-        )
-    ),
+    *(f"mjx_grasp.closing.{name}" for name in ("control", "guidance", "observer", "stages")),
+    *(f"mjx_grasp.tasks.{name}" for name in ("observation", "rewards", "starts", "success")),
     "mjx_grasp.evaluation.trials",
     "mjx_grasp.geometry.linear",
     "mjx_grasp.learning.policy",
@@ -102,7 +91,7 @@ def starts(scene, handmade_objects):
     """Three start states per object: rows 0–2 box, 3–5 ball, 6–8 dumbbell."""
     import handmade
 
-    from mjx_grasp.closing.starts import build_starts
+    from mjx_grasp.tasks.starts import build_starts
 
     return build_starts(scene, handmade.handoffs(handmade_objects), SUBSTEPS)
 

@@ -56,7 +56,7 @@ def still(starts, rows, ticks):
 
 def draw_of(rows, offset=0.0):
     """A draw of these rows without noise."""
-    from mjx_grasp.closing.starts import StartDraw
+    from mjx_grasp.tasks.starts import StartDraw
 
     n = len(rows)
     return StartDraw(

@@ -1,1 +1,1 @@
-"""The closing task: guidance, rewards, stages, observer, environment."""
+"""Closing: guidance, grip, observer, stages and scripted lift, as one controller."""

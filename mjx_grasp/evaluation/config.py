@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from mjx_grasp.closing.assemble import Engine
 from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M, StartNoise
 from mjx_grasp.errors import InputError
+from mjx_grasp.tasks.assemble import Engine
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
+from mjx_grasp.records.atomic import replacing
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
@@ -135,7 +135,7 @@ def write_results(
     Args:
         path: The file.
         rows: At least one row; all of the same class.
-        provenance: From `mjx_grasp.provenance.provenance`.
+        provenance: From `mjx_grasp.records.provenance.provenance`.
         **extra: Further top-level entries. `label` names the policy in tables.
 
     Raises:

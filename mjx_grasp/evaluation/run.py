@@ -10,10 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.closing.assemble import World
 from mjx_grasp.closing.config import ClosingConfig
-from mjx_grasp.closing.observation import policy_sizes
-from mjx_grasp.closing.success import FAILURES
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
@@ -30,6 +27,9 @@ from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.tasks.assemble import World
+from mjx_grasp.tasks.observation import policy_sizes
+from mjx_grasp.tasks.success import FAILURES
 
 
 def chosen_states(

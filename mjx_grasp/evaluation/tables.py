@@ -20,7 +20,7 @@ from mjx_grasp.evaluation.results import (
     read_results,
 )
 from mjx_grasp.evaluation.statistics import PairedComparison, compare_paired
-from mjx_grasp.table import Table
+from mjx_grasp.records.table import Table
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _MESHES = {True: "real scans", False: "parametric stand-ins"}

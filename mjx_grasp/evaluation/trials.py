@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.config import StartNoise
-from mjx_grasp.closing.env import ClosingEnv, EnvState
-from mjx_grasp.closing.starts import StartDraw, StartTable, draw_starts
-from mjx_grasp.closing.success import failure_classes
 from mjx_grasp.errors import InputError
+from mjx_grasp.tasks.closing import ClosingEnv, EnvState
+from mjx_grasp.tasks.starts import StartDraw, StartTable, draw_starts
+from mjx_grasp.tasks.success import failure_classes
 
 Controller = Callable[[dict[str, Array]], Float[Array, "w a"]]
 """Observations in, actions out."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.selection.config import TargetConfig
+from mjx_grasp.grasp.config import TargetConfig
 
 
 def _whole_from_1(config: object, *names: str) -> None:

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.atomic import replacing
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel

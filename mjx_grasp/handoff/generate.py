@@ -13,7 +13,6 @@ import jax
 import numpy as np
 
 from mjx_grasp.handoff.clearance import DistanceGrid, distance_grid
-from mjx_grasp.handoff.collision import CollisionChecker
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.ik import IkSolution, make_ik
@@ -28,6 +27,7 @@ from mjx_grasp.handoff.targets import (
 )
 from mjx_grasp.heatmap import Heatmap, heatmap_of
 from mjx_grasp.robot.arrays import robot_arrays
+from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 
 if TYPE_CHECKING:

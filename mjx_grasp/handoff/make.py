@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 from rich.console import Console
 
-from mjx_grasp.atomic import as_json, check_writable
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig
@@ -15,7 +14,8 @@ from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.model import load_object, stand_in_hash
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.atomic import as_json, check_writable
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
 

@@ -12,9 +12,9 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.table import Table
 
-from mjx_grasp.atomic import write_json
 from mjx_grasp.errors import FileError
-from mjx_grasp.handoff.collision import REASONS
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.sim.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
 OUTCOMES = ("unreachable", "limits", "reach-axis", *reversed(REASONS))
@@ -127,7 +127,7 @@ def write_report(
     Args:
         path: File to write.
         reports: One per object.
-        provenance: From `mjx_grasp.provenance.provenance`.
+        provenance: From `mjx_grasp.records.provenance.provenance`.
         config: The full configuration as JSON types.
         earlier: The report of the set that was updated; its rows of other objects stay.
     """

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_grasp.selection.config import TargetConfig
+from mjx_grasp.grasp.config import TargetConfig
 
 # The object axes as lines: u and −u spread the wraps along the same line, in the other order.
 REACH_AXES = np.eye(3)

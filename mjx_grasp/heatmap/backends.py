@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry.closest import closest_on_face, closest_on_mesh
 from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
+from mjx_grasp.geometry.packing import Layout, pack, unpack_on_device
 from mjx_grasp.geometry.rays import RayHits, farthest_hit, hit_on_face
 from mjx_grasp.geometry.tiles import tile_for
 from mjx_grasp.heatmap.candidates import (
@@ -26,7 +27,6 @@ from mjx_grasp.heatmap.candidates import (
     wrap_seeds,
 )
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.packing import Layout, pack, unpack_on_device
 
 if TYPE_CHECKING:
     from mjx_grasp.geometry.bvh import MeshTrees

@@ -35,10 +35,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.records.atomic import replacing
 
 FORMAT = "mjx_grasp heatmap"
 VERSION = 1

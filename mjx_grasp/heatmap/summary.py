@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from mjx_grasp.atomic import replacing, write_json
 from mjx_grasp.heatmap.files import HeatmapInfo
 from mjx_grasp.heatmap.sampling import Triples
+from mjx_grasp.records.atomic import replacing, write_json
 
 GOOD = 0.3
 """Rows count the candidates above this score."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from brax.envs.base import Env, State
 from jaxtyping import Array
 
-from mjx_grasp.closing.env import ClosingEnv, EnvState
+from mjx_grasp.tasks.closing import ClosingEnv, EnvState
 
 EPISODE_FIELDS = (
     "truncation",

@@ -12,10 +12,10 @@ from typing import Any
 import jax
 import orbax.checkpoint as ocp
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.ppo import TrainState
+from mjx_grasp.records.atomic import replacing
 
 _MANIFEST = "manifest.json"
 _NAME = re.compile(r"^iteration_(\d+)$")

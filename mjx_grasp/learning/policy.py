@@ -14,8 +14,8 @@ from brax.training.acme.running_statistics import RunningStatisticsState
 from flax import linen
 from jaxtyping import Array, Float
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.atomic import replacing
 
 _FORMAT = "mjx_grasp.policy/1"
 

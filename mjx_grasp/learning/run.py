@@ -21,7 +21,6 @@ from rich.progress import (
 )
 from rich.table import Column
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import MjxGraspError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.checkpoint import checkpoints, save_checkpoint
@@ -29,6 +28,7 @@ from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.interrupt import InterruptGuard
 from mjx_grasp.learning.log import MetricLog
 from mjx_grasp.learning.ppo import TrainState, make_iteration
+from mjx_grasp.records.atomic import replacing
 
 COLUMNS = (
     "iteration",

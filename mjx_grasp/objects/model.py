@@ -14,7 +14,6 @@ import trimesh
 from jaxtyping import Float
 from rich.console import Console
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import load_catalogue
@@ -23,6 +22,7 @@ from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.objects.resting import RestingPose, resting_poses
+from mjx_grasp.records.atomic import replacing
 
 _CACHE_FORMAT = 3
 

@@ -1,11 +1,11 @@
 """Reactive reaching: velocity fields, a joint-space QP, and the controller around it (§3)."""
 
-from mjx_grasp.reaching.body import ReachBody, reach_body
+from mjx_grasp.posture.body import ReachBody, reach_body
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Outcome, Plans, Reacher, ReachState, Tick
 from mjx_grasp.reaching.planning import PlanConfig, plan_again, plan_reach, start_library
 from mjx_grasp.reaching.presets import Preset, preset
-from mjx_grasp.reaching.surroundings import Surroundings
 
 __all__ = [
     "Outcome",

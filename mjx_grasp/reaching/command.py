@@ -10,12 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.reaching import fields
-from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody, Solids
-from mjx_grasp.reaching.config import ReachConfig
-from mjx_grasp.reaching.guide import GuideGoal
-from mjx_grasp.reaching.qp import QP, WarmStart, cold_start, solve_qp
-from mjx_grasp.reaching.surroundings import (
+from mjx_grasp.posture.body import FINGERS, PALM, ReachBody, Solids
+from mjx_grasp.posture.surroundings import (
     Proximity,
     Surroundings,
     arm_proximity,
@@ -25,6 +21,10 @@ from mjx_grasp.reaching.surroundings import (
     stacked,
     table_proximity,
 )
+from mjx_grasp.reaching import fields
+from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.guide import GuideGoal
+from mjx_grasp.reaching.qp import QP, WarmStart, cold_start, solve_qp
 from mjx_grasp.robot.kinematics import Motion
 
 # How the escape speed that is asked for changes from tick to tick, where it cannot and can be had.

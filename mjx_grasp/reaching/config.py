@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mjx_grasp.selection.config import TargetConfig
+from mjx_grasp.grasp.config import TargetConfig
 
 
 @dataclass(frozen=True)

@@ -18,16 +18,16 @@ from jaxtyping import Array, Bool, Float, Int
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
+from mjx_grasp.grasp.candidates import Candidates
+from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.select import Hand, SelectionState, Targets, select, start_selection
+from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import Goals, Memory, Report, command, start_memory
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.fields import pad_goals
 from mjx_grasp.reaching.guide import Guide, follow, no_guide, track
-from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.robot.kinematics import Motion
-from mjx_grasp.selection.candidates import Candidates
-from mjx_grasp.selection.config import SelectionConfig
-from mjx_grasp.selection.select import Hand, SelectionState, Targets, select, start_selection
 
 # A candidate that a plan has chosen is preferred to all others by this, [m].
 _CHOSEN = 10.0

@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import angle_between, norm, unit
-from mjx_grasp.reaching.body import ReachBody
+from mjx_grasp.posture.body import ReachBody
+from mjx_grasp.posture.surroundings import Surroundings, obstacle_distance, to_object
 from mjx_grasp.reaching.config import FieldConfig, GuideConfig, ReachConfig
 from mjx_grasp.reaching.guide import GuideGoal
-from mjx_grasp.reaching.surroundings import Surroundings, obstacle_distance, to_object
 
 # One violation of clearance counts more than any way round can be long, [m].
 _VIOLATION = 10.0

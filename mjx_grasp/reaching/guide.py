@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import solve_spd
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.reaching.body import PALM, ReachBody
+from mjx_grasp.posture.body import PALM, ReachBody
 from mjx_grasp.reaching.config import GuideConfig
 from mjx_grasp.robot.kinematics import Motion
 

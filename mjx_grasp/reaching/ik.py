@@ -15,14 +15,14 @@ from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.levenberg_marquardt import Linearised, minimise
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import (
     angular_jacobians,
     half_spaces,
     point_jacobians,
 )
 from mjx_grasp.reaching.config import ReachConfig
-from mjx_grasp.reaching.surroundings import Surroundings
 
 
 @dataclass(frozen=True)

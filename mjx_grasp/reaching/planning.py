@@ -17,18 +17,18 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import dot, norm, unit
-from mjx_grasp.reaching.body import FINGERS, PALM, ReachBody
+from mjx_grasp.grasp.candidates import Candidates
+from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.ik import PlanIkConfig, PlanIkSolution, solve_ik
-from mjx_grasp.reaching.poses import PoseDistribution
-from mjx_grasp.reaching.surroundings import Surroundings
 from mjx_grasp.robot.arrays import robot_arrays
 from mjx_grasp.robot.postures import draw_postures
-from mjx_grasp.selection.candidates import Candidates
-from mjx_grasp.selection.config import SelectionConfig
+from mjx_grasp.sim.scene import ObjectArea
 
 # A difference of pad directions counts as much as tips this far off, [m].
 _DIRECTION_SCALE = 0.03
@@ -58,6 +58,8 @@ class PlanConfig:
     """largest tip error of a solution to be reached for [m]"""
     seed: int = 0
     """of the library"""
+    area: ObjectArea = field(default_factory=ObjectArea)
+    """over which the library's hands are about to grasp something"""
     ik: PlanIkConfig = field(default_factory=PlanIkConfig)
 
 
@@ -100,8 +102,8 @@ def start_library(body: ReachBody, config: PlanConfig) -> Library:
     Raises:
         InputError: The robot does not reach the object area.
     """
-    arrays, area = robot_arrays(body.robot), PoseDistribution()
-    q = draw_postures(arrays, config.library, area.x, area.y, config.seed)
+    arrays = robot_arrays(body.robot)
+    q = draw_postures(arrays, config.library, config.area.x, config.area.y, config.seed)
 
     @jax.jit
     @jax.vmap

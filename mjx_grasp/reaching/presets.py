@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.planning import PlanConfig
-from mjx_grasp.selection.config import SelectionConfig
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ import yaml
 from jaxtyping import Int
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.atomic import replacing
 from mjx_grasp.cli import run_command
+from mjx_grasp.records.atomic import replacing
 from mjx_grasp.robot.spec import RobotSpec
 
 HAND_BIT = 1

@@ -61,6 +61,16 @@ class SceneConfig:
 
 
 @dataclass(frozen=True)
+class ObjectArea:
+    """Where on the table objects lie (method §0), in the arm's base frame."""
+
+    x: tuple[float, float] = (0.40, 0.65)
+    """in front of the arm [m]"""
+    y: tuple[float, float] = (-0.25, 0.25)
+    """to its sides [m]"""
+
+
+@dataclass(frozen=True)
 class ObjectFields:
     """Model fields that differ between worlds, one row per object of the scene."""
 

@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from mjx_grasp.closing.assemble import World, build_world
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import evaluate, policy_task
 from mjx_grasp.evaluation.tables import success_table
+from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.policy import Policy, load_policy
-from mjx_grasp.provenance import provenance
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.tasks.assemble import World, build_world
 from mjx_grasp.training.config import TrainConfig
 from mjx_grasp.viz.report import untrained_note, write_report
-from mjx_grasp.viz.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
 SQUEEZE_FORCES_N = (3.0, 5.0)

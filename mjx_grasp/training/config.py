@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from mjx_grasp.closing.assemble import Engine, has_gpu
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
 from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import Engine, has_gpu
 
 Preset = Literal["auto", "cpu", "gpu", "paper"]
 

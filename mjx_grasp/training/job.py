@@ -11,8 +11,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mjx_grasp.atomic import check_writable, replacing
-from mjx_grasp.closing.assemble import World, build_scene_of, build_world
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
@@ -26,8 +24,10 @@ from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.provenance import file_digests, provenance
+from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.sim.scene import Scene
+from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.training.after import evaluate_and_report
 from mjx_grasp.training.config import TrainConfig, to_json
 

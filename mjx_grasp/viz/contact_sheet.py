@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.colours import score_colours
+from mjx_grasp.records.atomic import replacing
 from mjx_grasp.viz.heatmap import ANCHOR, BACKGROUND, THUMB, WRAP, Subject, draw
 
 _INK, _GREY = (25, 25, 35), (110, 115, 125)

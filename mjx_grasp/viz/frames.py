@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.evaluation.trajectory import Trajectory
+from mjx_grasp.records.atomic import replacing
 from mjx_grasp.viz import camera as view
-from mjx_grasp.viz.trajectory import Trajectory
 
 Frame = UInt8[np.ndarray, "h w 3"]
 

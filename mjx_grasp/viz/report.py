@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjx_grasp.atomic import replacing
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
@@ -19,6 +18,7 @@ from mjx_grasp.evaluation.tables import (
     paired_table,
     read_groups,
 )
+from mjx_grasp.records.atomic import replacing
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
 
 _STYLE = """

@@ -15,10 +15,10 @@ from typing import Annotated
 
 import tyro
 
-from mjx_grasp.atomic import check_writable
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError, MjxGraspError
-from mjx_grasp.viz.trajectory import load_trajectory
+from mjx_grasp.evaluation.trajectory import load_trajectory
+from mjx_grasp.records.atomic import check_writable
 
 BACKENDS = ("egl", "osmesa")
 _FORMATS = (".mp4", ".gif", ".png")

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mjx_grasp.closing import assemble
-from mjx_grasp.closing.assemble import World
 from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluate import main
 from mjx_grasp.evaluation import run as module
@@ -18,6 +16,8 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.trials import Trials, incidents
 from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.tasks import assemble
+from mjx_grasp.tasks.assemble import World
 
 
 @pytest.fixture

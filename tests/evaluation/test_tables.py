@@ -19,7 +19,7 @@ from mjx_grasp.evaluation.tables import (
     summary_table,
     throughput_table,
 )
-from mjx_grasp.table import Table
+from mjx_grasp.records.table import Table
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "a card", "seed": 0}
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.env import ClosingEnv
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
     incidents,
@@ -13,6 +12,7 @@ from mjx_grasp.evaluation.trials import (
     run_trials,
     zero_controller,
 )
+from mjx_grasp.tasks.closing import ClosingEnv
 
 NOISE = StartNoise(offset_m=0.004, friction=(0.6, 0.9))
 SHORT = ClosingConfig(episode_s=0.2)

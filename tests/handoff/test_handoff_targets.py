@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
 from mjx_grasp.handoff.targets import closest_reach_axis, standoffs, target_variants
 from mjx_grasp.objects.resting import RestingPose
-from mjx_grasp.selection.config import TargetConfig
 
 CONFIG = TargetConfig()
 

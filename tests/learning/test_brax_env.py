@@ -7,8 +7,8 @@ import pytest
 from scripted import ScriptedPhysics, still
 
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.env import ClosingEnv
 from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.tasks.closing import ClosingEnv
 
 EPISODE = 10
 TASK = ClosingConfig(episode_s=0.1, success_hold_s=0.02)

@@ -16,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.env import ClosingEnv
-from mjx_grasp.closing.starts import build_starts
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.ppo import init_state
 from mjx_grasp.learning.run import LoopConfig, train_loop
 from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.starts import build_starts
 
 CONFIG = {"made": "by hand"}
 

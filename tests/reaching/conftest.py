@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def body():
-    from mjx_grasp.reaching.body import reach_body
+    from mjx_grasp.posture.body import reach_body
     from mjx_grasp.robot.spec import load_robot
 
     return reach_body(load_robot())
@@ -16,9 +16,9 @@ def reacher(body):
     """The published controller with few via-points, for speed."""
     from dataclasses import replace
 
+    from mjx_grasp.grasp import SelectionConfig
     from mjx_grasp.reaching.config import ReachConfig
     from mjx_grasp.reaching.controller import Reacher
-    from mjx_grasp.selection import SelectionConfig
 
     config = ReachConfig()
     config = replace(config, fields=replace(config.fields, via_points=20))

@@ -9,10 +9,10 @@ import pytest
 from six_axis import MJCF, write_six_axis
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.reaching.body import reach_body
+from mjx_grasp.evaluation.reach.run import run_sweep
+from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.surroundings import placed
 from mjx_grasp.reaching.presets import preset
-from mjx_grasp.reaching.surroundings import placed
-from mjx_grasp.reaching.sweep_run import run_sweep
 from mjx_grasp.robot.spec import load_robot
 
 POSES = 8

@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_grasp.evaluation.reach.poses import draw_poses
+from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all, sweep
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.reaching.body import PALM
+from mjx_grasp.posture.body import PALM
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import proximities, scaled_back
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.poses import draw_poses
 from mjx_grasp.reaching.presets import for_sweep, preset
-from mjx_grasp.reaching.surroundings import Surroundings
-from mjx_grasp.reaching.sweep import candidates_of, plan_all, sweep
 
 ROUNDING = 1e-6
 WORLDS, TICKS = 48, 250

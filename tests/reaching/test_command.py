@@ -7,12 +7,12 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.reaching.body import FINGERS, PALM
+from mjx_grasp.grasp import cylinder_candidates
+from mjx_grasp.posture.body import FINGERS, PALM
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import proximities
 from mjx_grasp.reaching.controller import Outcome, Reacher
 from mjx_grasp.reaching.presets import preset
-from mjx_grasp.reaching.surroundings import Surroundings
-from mjx_grasp.selection import cylinder_candidates
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.08))
 NONE = jnp.zeros((0, 4))

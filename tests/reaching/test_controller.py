@@ -11,15 +11,15 @@ import trimesh
 
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.grasp import cylinder_candidates, from_heatmap
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.reaching.body import reach_body
+from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.controller import Outcome, Reacher
 from mjx_grasp.reaching.planning import plan_reach, start_library
 from mjx_grasp.reaching.presets import for_sweep, preset
-from mjx_grasp.reaching.surroundings import Surroundings, placed
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.selection import cylinder_candidates, from_heatmap
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
 CENTRE, UPRIGHT = jnp.asarray([0.5, -0.15, 0.06]), jnp.eye(3)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from mjx_grasp.geometry.signed_distance import Sphere
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching import fields
 from mjx_grasp.reaching.config import FieldConfig
-from mjx_grasp.reaching.surroundings import Surroundings
 
 CONFIG = FieldConfig()
 

@@ -8,18 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_grasp.evaluation.reach.poses import draw_poses
+from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.handoff.collision import CollisionChecker
-from mjx_grasp.reaching.body import FINGERS, PALM
+from mjx_grasp.posture.body import FINGERS, PALM
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import follow, track
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.poses import draw_poses
 from mjx_grasp.reaching.presets import preset
-from mjx_grasp.reaching.surroundings import Surroundings
-from mjx_grasp.reaching.sweep import candidates_of, plan_all
+from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 
 COUNT = 6

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import qpax
 
+from mjx_grasp.evaluation.reach.poses import draw_poses
+from mjx_grasp.evaluation.reach.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.reaching.config import SolverConfig
-from mjx_grasp.reaching.poses import draw_poses
-from mjx_grasp.reaching.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.reaching.qp import QP, cold_start, scales, solve_qp
 
 

@@ -10,11 +10,11 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.grasp import cylinder_candidates
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Outcome, Reacher
 from mjx_grasp.reaching.planning import plan_again, plan_reach, start_library
 from mjx_grasp.reaching.presets import preset
-from mjx_grasp.reaching.surroundings import Surroundings
-from mjx_grasp.selection import cylinder_candidates
 
 # Long runs compute as much as they compile: a little more of XLA's work than in the other tests.
 OPTIMISED = {"xla_backend_optimization_level": 1}

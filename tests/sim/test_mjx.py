@@ -7,13 +7,13 @@ import pytest
 from scripted import draw_of
 
 from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.env import ClosingEnv
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.brax_env import BraxClosingEnv
 from mjx_grasp.sim import mjx_engine
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.physics import make_params, policy_dofs
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.tasks.closing import ClosingEnv
 
 ROWS = jnp.array([0, 4, 8])
 

@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjx_grasp.closing.starts import build_starts
 from mjx_grasp.errors import InputError
 from mjx_grasp.sim.scene import ObjectFields, SceneConfig, build_scene
+from mjx_grasp.tasks.starts import build_starts
 
 
 def with_object(scene, k):

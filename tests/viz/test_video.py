@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.trajectory import Trajectory, record, save_trajectory
 from mjx_grasp.viz import frames, video
-from mjx_grasp.viz.trajectory import Trajectory, record, save_trajectory
 from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
 XML = """

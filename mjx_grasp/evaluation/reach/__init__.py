@@ -1,0 +1,1 @@
+"""The reach sweep: how often the reaching controller reaches, and how fast (method §3)."""

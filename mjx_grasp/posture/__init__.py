@@ -1,0 +1,1 @@
+"""Postures of the whole robot: its body, its surroundings, inverse kinematics, where they start."""

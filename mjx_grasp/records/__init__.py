@@ -1,0 +1,1 @@
+"""Files that survive: atomic writing, archives, provenance, settings, tables."""

@@ -1,0 +1,1 @@
+"""What is learnt: tasks with their starts, observations, rewards and success."""

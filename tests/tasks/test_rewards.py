@@ -1,0 +1,123 @@
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.tasks import rewards
+
+CONFIG = ClosingConfig()
+seeds = st.integers(0, 2**31)
+
+
+def size(twist):
+    return np.sqrt((twist[:3] ** 2).sum() + 0.05**2 * (twist[3:] ** 2).sum())
+
+
+def expected_reach(twist, guidance):
+    return np.mean(
+        [
+            np.exp(-size(v - g) / (0.5 * (size(g) + 0.02)))
+            for v, g in zip(twist, guidance, strict=True)
+        ]
+    )
+
+
+def state(seed):
+    rng = np.random.default_rng(seed)
+    return dict(
+        twist=rng.normal(size=(3, 6)) * 0.05,
+        guidance=rng.normal(size=(3, 6)) * 0.05,
+        touching=rng.random(3) < 0.5,
+        palm=rng.normal(size=3) * 0.1,
+        speed=rng.uniform(0, 0.15),
+        actions=rng.uniform(-1, 1, size=(3, 15)),
+    )
+
+
+def total(lifting, s):
+    f32 = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
+    return rewards.total(
+        jnp.asarray(lifting),
+        f32(s["twist"]),
+        f32(s["guidance"]),
+        jnp.asarray(s["touching"]),
+        f32(s["palm"]),
+        f32(s["speed"]),
+        tuple(f32(a) for a in s["actions"]),
+        CONFIG,
+    )
+
+
+@given(seed=seeds)
+def test_total_agrees_with_the_published_weights(seed):
+    s = state(seed)
+    now, last, before = s["actions"]
+    smooth = -0.01 * ((now - last) ** 2).sum() - 0.005 * ((now - 2 * last + before) ** 2).sum()
+    contact = 1.0 * s["touching"].sum()
+    lift = np.exp(-(((s["palm"][2] - s["speed"]) / 0.1) ** 2)) * np.exp(
+        -((np.hypot(*s["palm"][:2]) / 0.1) ** 2)
+    )
+    acquiring = 3.0 * expected_reach(s["twist"], s["guidance"]) + contact + smooth
+    lifting = 2.0 * lift + contact + smooth
+    np.testing.assert_allclose(total(False, s), acquiring, rtol=2e-4, atol=1e-4)
+    np.testing.assert_allclose(total(True, s), lifting, rtol=2e-4, atol=1e-4)
+
+
+def test_reach_is_one_on_the_field_and_known_beside_it():
+    g = jnp.array([[0.08, 0, 0, 0, 0, 0]] * 3)
+    assert np.isclose(rewards.reach(g, g, CONFIG), 1.0, atol=1e-4)
+    # Standing still: error 0.08 against a scale of 0.5·(0.08 + 0.02).
+    assert np.isclose(rewards.reach(0 * g, g, CONFIG), np.exp(-0.08 / 0.05), rtol=1e-4)
+    # One finger of three off.
+    one = g.at[0].set(0.0)
+    assert np.isclose(rewards.reach(one, g, CONFIG), (2 + np.exp(-1.6)) / 3, rtol=1e-4)
+
+
+@given(seed=seeds)
+def test_reach_stays_within_its_bounds(seed):
+    s = state(seed)
+    value = float(
+        rewards.reach(
+            jnp.asarray(s["twist"], jnp.float32), jnp.asarray(s["guidance"], jnp.float32), CONFIG
+        )
+    )
+    assert 0.0 <= value <= 1.0
+
+
+def test_lift_peaks_at_the_scripted_speed_and_falls_sideways():
+    at = lambda v, speed: float(rewards.lift(jnp.array(v), jnp.float32(speed), CONFIG))  # noqa: E731
+    assert np.isclose(at([0, 0, 0.15], 0.15), 1.0)
+    assert np.isclose(at([0, 0, 0.05], 0.15), np.exp(-1), rtol=1e-4)
+    assert np.isclose(at([0.06, 0.08, 0.15], 0.15), np.exp(-1), rtol=1e-4)
+    # After the script's end the palm is paid for standing still, not for rising on.
+    assert at([0, 0, 0.0], 0.0) > at([0, 0, 0.15], 0.0)
+
+
+@given(seed=seeds)
+def test_constant_and_ramped_actions_cost_what_they_should(seed):
+    a = jnp.asarray(np.random.default_rng(seed).uniform(-1, 1, 15), jnp.float32)
+    assert rewards.action_rate(a, a, CONFIG) == 0
+    assert rewards.action_acceleration(a, a, a, CONFIG) == 0
+    # A constant slope has no second difference.
+    assert np.isclose(rewards.action_acceleration(3 * a, 2 * a, a, CONFIG), 0, atol=1e-6)
+    assert float(rewards.action_rate(2 * a, a, CONFIG)) <= 0
+
+
+@given(seed=seeds, angle=st.floats(-3, 3))
+def test_turning_the_world_about_the_vertical_changes_nothing(seed, angle):
+    s = state(seed)
+    c, q = np.cos(angle), np.sin(angle)
+    T = np.array([[c, -q, 0], [q, c, 0], [0, 0, 1.0]])
+    turned = s | {
+        "twist": (s["twist"].reshape(3, 2, 3) @ T.T).reshape(3, 6),
+        "guidance": (s["guidance"].reshape(3, 2, 3) @ T.T).reshape(3, 6),
+        "palm": T @ s["palm"],
+    }
+    for lifting in (False, True):
+        np.testing.assert_allclose(total(lifting, turned), total(lifting, s), atol=5e-5)
+
+
+def test_contact_counts_fingers_in_batches():
+    touching = jnp.array([[True, False, True], [False] * 3, [True] * 3])
+    np.testing.assert_array_equal(rewards.contact(touching), [2, 0, 3])

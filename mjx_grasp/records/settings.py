@@ -1,0 +1,218 @@
+"""Settings: frozen dataclasses whose types say what is possible, and their form in files.
+
+A field's type is its range: `speed: Positive = 0.1`. Every settings class derives from `Settings`,
+which checks all fields when an instance is made, whatever made it: a command line, a preset, a
+file. What no single field can say stands in the class's own `__post_init__`, which begins with
+`super().__post_init__()`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from mjx_grasp.errors import InputError
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number may be; part of a type: `Annotated[float, Range(0, 1)]`."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    """Whether it has to be more than `low`."""
+    finite: bool = True
+    """Whether infinity is ruled out."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a number lies in the range; what is no number does not."""
+        if self.finite and not math.isfinite(value):
+            return False
+        return self.low < value <= self.high or (value == self.low and not self.above)
+
+    def __str__(self) -> str:
+        low = f"more than {_short(self.low)}" if self.above else f"{_short(self.low)} or more"
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            between = f"{low}, at most" if self.above else f"{_short(self.low)} to"
+            return f"{between} {_short(self.high)}"
+        if math.isfinite(self.low):
+            return low
+        if math.isfinite(self.high):
+            return f"at most {_short(self.high)}"
+        return "a finite number" if self.finite else "a number"
+
+
+def _short(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
+
+
+_ANY = Range(finite=False)
+
+Finite = Annotated[float, Range()]
+Positive = Annotated[float, Range(0, above=True)]
+NonNegative = Annotated[float, Range(0)]
+Share = Annotated[float, Range(0, 1)]
+PositiveOrNever = Annotated[float, Range(0, above=True, finite=False)]
+"""A threshold that infinity switches off."""
+Count = Annotated[int, Range(1)]
+WholeNumber = Annotated[int, Range(0)]
+Seed = Annotated[int, Range(0, 2**32 - 1)]
+"""What NumPy and JAX both take as a seed."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of all settings: every field is checked against its type."""
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        for name, hint in _hints(kind).items():
+            problem = _problem(hint, getattr(self, name))
+            if problem is not None:
+                raise InputError(self.name_of(name), *problem)
+
+    def name_of(self, field_name: str) -> str:
+        """What a field is called in messages."""
+        return f"{type(self).__name__}.{field_name}"
+
+
+@dataclass(frozen=True)
+class CommandSettings(Settings):
+    """Settings of a command: messages name the flags."""
+
+    def name_of(self, field_name: str) -> str:
+        """The flag."""
+        return "--" + field_name.replace("_", "-")
+
+
+def added(default: Any, absent: Any) -> Any:
+    """A field that came after files were written without it.
+
+    Args:
+        default: What it is today.
+        absent: What stands for files that do not have it: the value that changes nothing.
+    """
+    return field(default=default, metadata={"absent": absent})
+
+
+def to_record(value: Any) -> Any:
+    """Settings as plain values of JSON."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_record(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, tuple | list):
+        return [to_record(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+S = TypeVar("S", bound=Settings)
+
+
+def from_record(kind: type[S], record: Any, where: str = "") -> S:
+    """Settings from what `to_record` made, today or before fields were added.
+
+    Args:
+        kind: The class.
+        record: Values of JSON.
+        where: What the record is called in messages.
+
+    Raises:
+        InputError: It is no record of this class: an unknown field, a missing one without a
+            default, or an impossible value.
+    """
+    where = where or kind.__name__
+    if not isinstance(record, Mapping):
+        raise InputError(where, record, f"the fields of {kind.__name__}")
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    unknown = sorted(set(record) - set(fields))
+    if unknown:
+        raise InputError(where, ", ".join(unknown), f"fields of {kind.__name__} alone")
+    cached: Any = kind  # of whose hash a type checker thinks as an instance's
+    hints, values = _hints(cached), {}
+    for name, known in fields.items():
+        if name in record:
+            values[name] = _value(hints[name], record[name], f"{where}.{name}")
+        elif "absent" in known.metadata:
+            values[name] = known.metadata["absent"]
+        elif known.default is known.default_factory is dataclasses.MISSING:
+            raise InputError(f"{where}.{name}", "nothing", "a value")
+    return kind(**values)
+
+
+@functools.cache
+def _hints(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
+
+
+def _bare(hint: Any) -> tuple[Any, Range | None]:
+    """A type without its annotation, and the range among it."""
+    if get_origin(hint) is not Annotated:
+        return hint, None
+    inner, *extras = get_args(hint)
+    return inner, next((e for e in extras if isinstance(e, Range)), None)
+
+
+def _problem(hint: Any, value: Any) -> tuple[Any, str] | None:
+    """What is wrong with a value, and what was expected; None if nothing is."""
+    bare, allowed = _bare(hint)
+    origin, arguments = get_origin(bare), get_args(bare)
+    if origin in (Union, types.UnionType):
+        problems = [_problem(argument, value) for argument in arguments]
+        if None in problems:
+            return None
+        words = [
+            p[1] for a, p in zip(arguments, problems, strict=True) if p and a is not type(None)
+        ]
+        return value, ", or ".join([*words, *(["None"] if type(None) in arguments else [])])
+    if origin is Literal:
+        return None if value in arguments else (value, f"one of {', '.join(map(str, arguments))}")
+    if origin is tuple:
+        return _tuple_problem(arguments, value)
+    if bare in (int, float):
+        whole = "a whole number, " if bare is int else ""
+        number = isinstance(value, int if bare is int else (int, float))
+        if (
+            not number
+            or isinstance(value, bool)
+            or not (allowed or Range(finite=False)).holds(value)
+        ):
+            return value, whole + str(allowed or "a number")
+        return None
+    if isinstance(bare, type) and not isinstance(value, bare):
+        return value, "None" if bare is type(None) else f"a {bare.__name__}"
+    return None
+
+
+def _tuple_problem(arguments: tuple[Any, ...], value: Any) -> tuple[Any, str] | None:
+    if not isinstance(value, tuple):
+        return value, "several values"
+    each = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
+    if len(each) != len(value):
+        return value, f"{len(each)} values"
+    problems = [_problem(*pair) for pair in zip(each, value, strict=True)]
+    found = next((p for p in problems if p is not None), None)
+    return None if found is None else (value, f"of each: {found[1]}")
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """A value of JSON as the type has it; what does not fit is left for the check."""
+    bare, _ = _bare(hint)
+    arguments = get_args(bare)
+    if get_origin(bare) in (Union, types.UnionType):
+        inner = [a for a in arguments if a is not type(None)]
+        return value if value is None else _value(inner[0], value, where)
+    if get_origin(bare) is tuple and isinstance(value, list):
+        each = [arguments[0]] * len(value) if arguments[1:] == (...,) else arguments
+        return tuple(_value(h, v, where) for h, v in zip(each, value, strict=False)) + tuple(
+            value[len(each) :]
+        )
+    if isinstance(bare, type) and issubclass(bare, Settings):
+        return from_record(bare, value, where)
+    return Path(value) if bare is Path and isinstance(value, str) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.closing.config import GuidanceConfig
 from mjx_grasp.geometry import so3
 
 
@@ -15,7 +15,7 @@ def guidance_field(
     start: Float[Array, "*b 3"],
     goal: Float[Array, "*b 3"],
     goal_mat: Float[Array, "*b 3 3"],
-    config: ClosingConfig,
+    config: GuidanceConfig,
 ) -> Float[Array, "*b 6"]:
     """World-aligned twist at the pad: linear [m/s], then angular [rad/s] (method §5).
 
@@ -34,10 +34,10 @@ def guidance_field(
     length = jnp.sqrt(jnp.sum(way**2, -1, keepdims=True) + 1e-12)
     d = way / length
     s = jnp.clip(jnp.sum((x - start) * d, -1, keepdims=True), 0.0, length)
-    speed = config.guidance_speed * jnp.minimum(1.0, (length - s) / config.guidance_slowdown)
-    linear = speed * d + config.guidance_return * (start + s * d - x)
+    speed = config.speed * jnp.minimum(1.0, (length - s) / config.slowdown)
+    linear = speed * d + config.return_rate * (start + s * d - x)
     turn = jnp.sum(goal_mat[..., :, None, :] * mat[..., None, :, :], axis=-1)
-    return jnp.concatenate([linear, config.guidance_turn * so3.log(turn)], axis=-1)
+    return jnp.concatenate([linear, config.turn_rate * so3.log(turn)], axis=-1)
 
 
 def way_left(

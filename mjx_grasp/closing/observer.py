@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.closing.config import ObserverConfig
 
 
 class ObserverState(NamedTuple):
@@ -31,8 +31,8 @@ def observe(
     qd: Float[Array, "*b m"],
     limits: Float[np.ndarray, "m 2"],
     dry_friction: Float[np.ndarray, " m"],
-    physics_dt: float,
-    config: ClosingConfig,
+    dt: float,
+    config: ObserverConfig,
 ) -> tuple[ObserverState, Bool[Array, "*b f"]]:
     """One control tick: r⁺ = (r + K·dt·τ_ext)/(1 + K·dt) per physics step, then the flags.
 
@@ -42,15 +42,15 @@ def observe(
 
     Args:
         state: The observer.
-        residual: τ_ext at each physics step (`Readings.external_torque`) [N m].
+        residual: τ_ext at equally spaced times of the last control period (`Measured.external_torque`) [N m].
         q: Policy joint positions [rad].
         qd: Policy joint velocities [rad/s].
         limits: Their ranges [rad].
         dry_friction: Their friction losses [N m].
-        physics_dt: Physics step [s].
+        dt: Control period [s].
         config: Gains and thresholds.
     """
-    gain = config.observer_gain * physics_dt
+    gain = config.gain * dt / residual.shape[-2]
     torque = state.torque
     for s in range(residual.shape[-2]):
         torque = (torque + gain * residual[..., s, :]) / (1.0 + gain)

@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float
 from mujoco import mjx
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import (
-    Readings,
+    Truth,
     WorldParams,
     check_control_rate,
     inverse_dynamics_residual,
@@ -45,7 +46,7 @@ class MjxPhysics:
             raise InputError("num_worlds", num_worlds, "at least 1")
         self.scene, self.num_worlds = scene, num_worlds
         self.substeps = check_control_rate(scene, control_dt)
-        # Warp would print a line per world whose line search stops early; Readings has overflows.
+        # Warp would print a line per world whose line search stops early; Truth has overflows.
         quiet = {"opt._impl.warn_overflow": 0}
         self._model = mjx.put_model(scene.model, impl="warp").tree_replace(quiet)
         self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
@@ -102,7 +103,7 @@ class MjxPhysics:
 
     def step(
         self, state: mjx.Data, params: WorldParams, ctrl: Float[Array, "w nu"]
-    ) -> tuple[mjx.Data, Readings]:
+    ) -> tuple[mjx.Data, Measured, Truth]:
         """See `Physics.step`."""
         models = self._model.tree_replace(self.world_fields(params))
         step = jax.vmap(mjx.step, in_axes=(self._axes, 0))
@@ -122,7 +123,7 @@ class MjxPhysics:
                 )
             )
             overflow |= _buffer_overflow(data)
-        return data, self._read(data, jnp.stack(residuals, axis=1), overflow)
+        return data, self._measured(data, jnp.stack(residuals, axis=1)), self._truth(data, overflow)
 
     def pack(self, state: mjx.Data) -> dict[str, Array]:
         """See `Physics.pack`."""
@@ -150,25 +151,30 @@ class MjxPhysics:
         rows["geom_friction"] = base + self._slides * (params.friction[:, None, None] - base)
         return rows
 
-    def _read(self, data: mjx.Data, residual: Array, overflow: Array) -> Readings:
+    def _measured(self, data: mjx.Data, residual: Float[Array, "w s m"]) -> Measured:
         at = self.scene.addresses
         mats = data.site_xmat.reshape(self.num_worlds, -1, 3, 3)
-        return Readings(
+        return Measured(
             q=data.qpos[:, at.robot_qpos],
             qd=data.qvel[:, at.robot_dof],
-            object_pos=data.qpos[:, at.object_qpos[:3]],
-            object_quat=data.qpos[:, at.object_qpos[3:]],
-            object_vel=data.qvel[:, at.object_dof],
+            external_torque=residual,
             palm_pos=data.site_xpos[:, at.palm_site],
             palm_mat=mats[:, at.palm_site],
             pad_pos=data.site_xpos[:, at.pad_sites],
             pad_mat=mats[:, at.pad_sites],
             joint_axis=data.xaxis[:, self._joints],
             joint_anchor=data.xanchor[:, self._joints],
+        )
+
+    def _truth(self, data: mjx.Data, overflow: Bool[Array, " w"]) -> Truth:
+        at = self.scene.addresses
+        return Truth(
+            object_pos=data.qpos[:, at.object_qpos[:3]],
+            object_quat=data.qpos[:, at.object_qpos[3:]],
+            object_vel=data.qvel[:, at.object_dof],
             tip_found=data.sensordata[:, at.tip_force[:, 0]] > 0,
             tip_force=data.sensordata[:, at.tip_force[:, 1:]],
             finger_force=data.sensordata[:, at.finger_force[:, 1:]],
-            external_torque=residual,
             constraints=data._impl.nefc.reshape(self.num_worlds),
             overflow=overflow,
         )

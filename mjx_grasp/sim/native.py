@@ -17,14 +17,18 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import (
-    Readings,
+    Truth,
     WorldParams,
     check_control_rate,
     inverse_dynamics_residual,
     policy_rows,
 )
 from mjx_grasp.sim.scene import Scene, build_scene
+
+
+_FRAMES = ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
 
 
 class NativeState(NamedTuple):
@@ -80,7 +84,7 @@ class NativePhysics:
 
     def step(
         self, state: NativeState, params: WorldParams, ctrl: Float[Array, "w nu"]
-    ) -> tuple[NativeState, Readings]:
+    ) -> tuple[NativeState, Measured, Truth]:
         """See `Physics.step`."""
         worlds = state.qpos.shape[0]
         shapes = {
@@ -98,16 +102,20 @@ class NativePhysics:
             self.scene.config.physics_dt,
         )
         at = self.scene.addresses
-        readings = Readings(
+        frames = {name: out.pop(name) for name in _FRAMES}
+        measured = Measured(
             q=state.qpos[:, at.robot_qpos],
             qd=state.qvel[:, at.robot_dof],
+            external_torque=residual,
+            **frames,
+        )
+        truth = Truth(
             object_pos=state.qpos[:, at.object_qpos[:3]],
             object_quat=state.qpos[:, at.object_qpos[3:]],
             object_vel=state.qvel[:, at.object_dof],
-            external_torque=residual,
             **out,
         )
-        return state, readings
+        return state, measured, truth
 
     def pack(self, state: NativeState) -> dict[str, Array]:
         """See `Physics.pack`."""

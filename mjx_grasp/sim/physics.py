@@ -1,10 +1,11 @@
-"""The small interface between physics and everything else: one control tick in, readings out.
+"""The small interface between physics and everything else: one control tick in, two records out.
 
-Both engines step all worlds by one control tick and fill the same `Readings`. What observes,
-rewards or controls is pure JAX over `Readings` and does not know which engine filled it.
+Both engines step all worlds by one control tick and fill the same `Measured`, which a robot has
+too, and `Truth`, which only a simulator has. What observes, rewards or controls is pure JAX over
+them and does not know which engine filled them.
 
-Positions, axes and contacts in `Readings` belong to the state before the last physics step of the
-tick, as MuJoCo leaves them; `q`, `qd` and the object's pose are those after it.
+Frames, axes and contacts belong to the state before the last physics step of the tick, as MuJoCo
+leaves them; joints and the object's pose are those after it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.scene import Scene
 
 PhysicsState = Any
@@ -34,41 +36,24 @@ class WorldParams(NamedTuple):
     """Factor on the object's mass and inertia [-]."""
 
 
-class Readings(NamedTuple):
-    """What an engine reports after a control tick. World frame, SI units.
+class Truth(NamedTuple):
+    """What only a simulator knows. World frame, SI units; fingers in the order of the hand's."""
 
-    Robot order: arm joints, then hand joints. Fingers in the order of `HandSpec.fingers`.
-    """
-
-    q: Float[Array, "*w n"]
-    """Robot joint positions [rad]."""
-    qd: Float[Array, "*w n"]
-    """Robot joint velocities [rad/s]."""
     object_pos: Float[Array, "*w 3"]
-    """Object origin [m]."""
+    """object origin [m]"""
     object_quat: Float[Array, "*w 4"]
     object_vel: Float[Array, "*w 6"]
-    """Linear velocity [m/s] in the world, angular [rad/s] in the object frame, as MuJoCo has it."""
-    palm_pos: Float[Array, "*w 3"]
-    palm_mat: Float[Array, "*w 3 3"]
-    pad_pos: Float[Array, "*w f 3"]
-    """Pad points [m]."""
-    pad_mat: Float[Array, "*w f 3 3"]
-    """Pad frames; the first column is the pad's outward normal."""
-    joint_axis: Float[Array, "*w n 3"]
-    joint_anchor: Float[Array, "*w n 3"]
+    """linear velocity [m/s] in the world, angular [rad/s] in the object frame, as MuJoCo has it"""
     tip_found: Bool[Array, "*w f"]
-    """Whether the fingertip touches the object."""
+    """whether the fingertip touches the object"""
     tip_force: Float[Array, "*w f 3"]
-    """Net contact force of the object on the fingertip or its reaction [N]; use its norm."""
+    """net contact force of the object on the fingertip or its reaction: use its norm [N]"""
     finger_force: Float[Array, "*w f 3"]
-    """The same for the whole finger."""
-    external_torque: Float[Array, "*w s m"]
-    """Inverse-dynamics residual of the policy's joints at each physics step of the tick [N m]."""
+    """the same for the whole finger [N]"""
     constraints: Int[Array, "*w"]
-    """Constraint rows in use after the last physics step."""
+    """constraint rows in use after the last physics step"""
     overflow: Bool[Array, "*w"]
-    """Whether a contact or constraint buffer overflowed during the tick."""
+    """whether a contact or constraint buffer overflowed during the tick"""
 
 
 class Physics(Protocol):
@@ -98,7 +83,7 @@ class Physics(Protocol):
 
     def step(
         self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
-    ) -> tuple[PhysicsState, Readings]:
+    ) -> tuple[PhysicsState, Measured, Truth]:
         """One control tick with position commands `ctrl` [rad]."""
         ...
 

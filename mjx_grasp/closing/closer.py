@@ -1,0 +1,215 @@
+"""The closing controller: guidance to the contacts, grip, stages and scripted lift (method §5).
+
+A pure function of what a robot measures, for one robot or any batch of them. It knows no simulator:
+contact flags are an input, so that a contact solver, touch pads or nothing at all may supply them,
+beside the flags of its own momentum observer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from mjx_grasp.closing import control, stages
+from mjx_grasp.closing.config import CloserConfig
+from mjx_grasp.closing.guidance import goal_frame, guidance_field, way_left
+from mjx_grasp.closing.joints import DrivenJoints, driven_joints
+from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
+from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.interface import Measured
+from mjx_grasp.robot.spec import RobotSpec
+
+
+class CloserState(NamedTuple):
+    """What the controller remembers."""
+
+    tick: Int[Array, "*b"]
+    """control periods commanded so far"""
+    start_pos: Float[Array, "*b f 3"]
+    """pads at the start [m]"""
+    goal_mat: Float[Array, "*b f 3 3"]
+    """R*, the pad frames at the contacts"""
+    rest: Float[Array, "*b n"]
+    """joints at the start; those that closing does not move stay there [rad]"""
+    hold: Float[Array, "*b f j"]
+    """guided finger joint targets [rad]"""
+    residual: Float[Array, "*b m"]
+    """the policy's share of the finger targets [rad]"""
+    arm: Float[Array, "*b a"]
+    """arm joint targets [rad]"""
+    observer: ObserverState
+    observed: Bool[Array, "*b f"]
+    """contact flags of the observer"""
+    landed: Bool[Array, "*b f"]
+    """whether a finger has ever touched"""
+    grip_ticks: Int[Array, "*b f"]
+    """since the finger landed or arrived, whichever was first"""
+    lifting: Bool[Array, "*b"]
+    lift_tick: Int[Array, "*b"]
+    """since lift onset"""
+
+
+@jax.tree_util.register_static
+@dataclass(frozen=True, eq=False)
+class Closer:
+    """Controller of one robot with one set of settings; static under jit.
+
+    `tick` is a whole control period. It is `sense`, what the robot measured, then `act`, the
+    command; whoever decides in between, as a policy does, calls the two.
+    """
+
+    config: CloserConfig
+    joints: DrivenJoints
+
+    @classmethod
+    def of(cls, robot: RobotSpec, config: CloserConfig | None = None) -> Closer:
+        """The controller of a robot."""
+        return cls(config or CloserConfig(), driven_joints(robot))
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action: finger residuals, then arm residuals."""
+        return len(self.joints.at.fingers) + len(self.joints.at.arm_policy)
+
+    def start(self, measured: Measured, targets: ThreePoints) -> CloserState:
+        """The state at the handoff.
+
+        Args:
+            measured: At the handoff.
+            targets: The contacts to close on.
+        """
+        at, batch = self.joints.at, measured.q.shape[:-1]
+        fingers, joints = at.per_finger.shape
+        no, zero = jnp.zeros(batch, bool), jnp.zeros(batch, jnp.int32)
+        none = jnp.zeros((*batch, fingers), bool)
+        return CloserState(
+            tick=zero,
+            start_pos=measured.pad_pos,
+            goal_mat=goal_frame(measured.pad_mat, targets.normal),
+            rest=measured.q,
+            hold=measured.q[..., at.per_finger],
+            residual=jnp.zeros((*batch, fingers * joints)),
+            arm=measured.q[..., at.arm],
+            observer=initial_observer(batch, fingers * joints, fingers),
+            observed=none,
+            landed=none,
+            grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),
+            lifting=no,
+            lift_tick=zero,
+        )
+
+    def tick(
+        self,
+        state: CloserState,
+        measured: Measured,
+        targets: ThreePoints,
+        touching: Bool[Array, "*b f"],
+        action: Float[Array, "*b k"],
+    ) -> tuple[CloserState, Float[Array, "*b n"]]:
+        """One control period.
+
+        Args:
+            state: From `start` or the last tick.
+            measured: Now.
+            targets: The contacts.
+            touching: Contact flags from outside, all false if there are none.
+            action: A policy's residuals in ±1; zeros for the model-based command alone.
+
+        Returns:
+            The state, and joint position targets in robot order [rad].
+        """
+        return self.act(self.sense(state, measured, targets, touching), measured, targets, action)
+
+    def sense(
+        self,
+        state: CloserState,
+        measured: Measured,
+        targets: ThreePoints,
+        touching: Bool[Array, "*b f"],
+    ) -> CloserState:
+        """Observer, landing, grip and stages after what was measured; arguments as in `tick`."""
+        config, joints, at = self.config, self.joints, self.joints.at
+        observer, observed = observe(
+            state.observer,
+            measured.external_torque,
+            measured.q[..., at.fingers],
+            measured.qd[..., at.fingers],
+            joints.limits[at.fingers],
+            joints.dry_friction,
+            config.control_dt,
+            config.observer,
+        )
+        touching = touching | observed
+        begins = stages.lift_begins(touching, state.tick * config.control_dt, config.stages)
+        lifting = state.lifting | begins
+        landed = state.landed | touching
+        left = way_left(measured.pad_pos, state.start_pos, targets.position)
+        late = (state.tick - 1) * config.control_dt >= config.grip.approach_s
+        there = landed | (left < config.grip.arrival) | (late | lifting)[..., None]
+        if config.grip.together:
+            there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
+        gripping = there | (state.grip_ticks > 0)
+        return state._replace(
+            observer=observer,
+            observed=observed,
+            landed=landed,
+            grip_ticks=jnp.where(gripping, state.grip_ticks + 1, 0),
+            lifting=lifting,
+            lift_tick=jnp.where(state.lifting, state.lift_tick + 1, 0),
+        )
+
+    def act(
+        self,
+        state: CloserState,
+        measured: Measured,
+        targets: ThreePoints,
+        action: Float[Array, "*b k"],
+    ) -> tuple[CloserState, Float[Array, "*b n"]]:
+        """Guided targets, grip force and scripted lift, plus the action; as in `tick`."""
+        config, joints, at = self.config, self.joints, self.joints.at
+        fingers, dt = len(at.fingers), config.control_dt
+        jacobian = control.pad_jacobians(measured, at.per_finger)
+        field = self.guidance(state, measured, targets)
+        rates = control.guided_rates(jacobian, field, config.guidance)
+        frozen = state.landed | state.lifting[..., None]
+        q = measured.q[..., at.per_finger]
+        hold = control.hold_until_landed(state.hold, q, rates, frozen, dt, config.guidance)
+        force = stages.grip_force(state.grip_ticks * dt, config.grip)
+        torque = control.grip_torques(jacobian, -targets.normal, force)
+        residual = control.update_residual(
+            state.residual, action[..., :fingers], dt, config.action
+        )
+
+        speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
+        palm = control.palm_jacobian(measured, at.arm_policy)
+        arm_rates = control.lift_rates(palm, speed, config.lift)
+        arm_rates = arm_rates + config.action.arm_rate * action[..., fingers:]
+        moved = state.arm.at[..., at.arm_policy].add(arm_rates * dt)
+        arm = jnp.clip(moved, *joints.limits[at.arm].T)
+
+        flat = residual.shape
+        target = hold.reshape(flat) + residual + torque.reshape(flat) / joints.stiffness
+        command = state.rest.at[..., at.arm].set(arm).at[..., at.fingers].set(target)
+        after = state._replace(tick=state.tick + 1, hold=hold, residual=residual, arm=arm)
+        return after, command
+
+    def guidance(
+        self, state: CloserState, measured: Measured, targets: ThreePoints
+    ) -> Float[Array, "*b f 6"]:
+        """The field at the pads, world-aligned twists [m/s, rad/s]."""
+        return guidance_field(
+            measured.pad_pos,
+            measured.pad_mat,
+            state.start_pos,
+            targets.position,
+            state.goal_mat,
+            self.config.guidance,
+        )
+
+    def lift_speed(self, state: CloserState) -> Float[Array, "*b"]:
+        """Speed of the scripted lift at this time since lift onset [m/s]."""
+        return stages.lift_speed(state.lift_tick * self.config.control_dt, self.config.lift)

@@ -1,0 +1,37 @@
+"""What closing has to know of the joints that it moves; read off robot and MJCF."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_grasp.robot.indices import RobotIndices, robot_indices
+from mjx_grasp.robot.mjcf import robot_mjspec
+from mjx_grasp.robot.spec import RobotSpec
+
+
+class DrivenJoints(NamedTuple):
+    """Which joints play which part, and constants of them. Static."""
+
+    at: RobotIndices
+    limits: Float[np.ndarray, "n 2"]
+    """position limits of all joints [rad]"""
+    stiffness: Float[np.ndarray, " m"]
+    """position gain of the policy's finger joints [N m/rad]"""
+    dry_friction: Float[np.ndarray, " m"]
+    """of the same joints [N m]"""
+
+
+def driven_joints(robot: RobotSpec) -> DrivenJoints:
+    """Reads the constants off the robot's compiled MJCF."""
+    model, at = robot_mjspec(robot).compile(), robot_indices(robot)
+    names = [robot.joints[i] for i in at.fingers]
+    friction = [float(model.dof_frictionloss[model.joint(n).dofadr[0]]) for n in names]
+    return DrivenJoints(
+        at=at,
+        limits=np.array([model.joint(n).range for n in robot.joints], np.float32),
+        stiffness=np.array([model.actuator(n).gainprm[0] for n in names], np.float32),
+        dry_friction=np.array(friction, np.float32),
+    )

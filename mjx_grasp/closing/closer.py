@@ -191,8 +191,8 @@ class Closer:
         moved = state.arm.at[..., at.arm_policy].add(arm_rates * dt)
         arm = jnp.clip(moved, *joints.limits[at.arm].T)
 
-        flat = residual.shape
-        target = hold.reshape(flat) + residual + torque.reshape(flat) / joints.stiffness
+        guided = hold.reshape(residual.shape)
+        target = guided + residual + torque.reshape(residual.shape) / joints.stiffness
         command = state.rest.at[..., at.arm].set(arm).at[..., at.fingers].set(target)
         after = state._replace(tick=state.tick + 1, hold=hold, residual=residual, arm=arm)
         return after, command

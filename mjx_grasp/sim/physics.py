@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.scene import Scene
 
@@ -112,8 +113,7 @@ class PolicyRows(NamedTuple):
 
 def policy_dofs(scene: Scene) -> np.ndarray:
     """Degrees of freedom of the fingers' policy joints, finger by finger, [m]."""
-    names = [n for f in scene.robot.hand.fingers for n in f.policy_joints]
-    return np.array([int(scene.model.joint(n).dofadr[0]) for n in names])
+    return scene.addresses.robot_dof[robot_indices(scene.robot).fingers]
 
 
 def policy_rows(scene: Scene) -> PolicyRows:

@@ -278,8 +278,8 @@ def _add_force_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
 
 
 def _addresses(model: mujoco.MjModel, robot: RobotSpec) -> Addresses:
-    joints = [model.joint(n) for n in (*robot.arm.joints, *robot.hand.joints)]
-    actuators = [model.actuator(n).id for n in (*robot.arm.joints, *robot.hand.joints)]
+    joints = [model.joint(n) for n in robot.joints]
+    actuators = [model.actuator(n).id for n in robot.joints]
     free = model.joint(OBJECT_JOINT)
     body = model.body(OBJECT_BODY)
 

@@ -1,0 +1,180 @@
+"""Every number of the closing task beside its controller's (method §5, §7)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from mjx_grasp.closing.config import CloserConfig
+from mjx_grasp.errors import InputError
+from mjx_grasp.records.settings import (
+    Finite,
+    NonNegative,
+    Positive,
+    Range,
+    Settings,
+    from_record,
+)
+
+MAX_OFFSET_M = 0.05
+"""Largest object offset that a start may have [m]."""
+MAX_ANGLE_RAD = 0.8
+"""Largest object rotation that a start may have [rad]."""
+
+
+@dataclass(frozen=True)
+class RewardConfig(Settings):
+    """Weights and scales of the reward terms (method §5)."""
+
+    reach: Finite = 3.0
+    """per tick of pads that move as the guidance says, before the lift"""
+    reach_scale: Positive = 0.5
+    """s of the reach reward [-]"""
+    reach_floor: Positive = 0.02
+    """ε of the reach reward [m/s]"""
+    turn_weight: NonNegative = 0.05
+    """of angular against linear velocity in the norms of twists [m/rad]"""
+    contact: Finite = 1.0
+    """per tick and fingertip that touches the object"""
+    lift: Finite = 2.0
+    """per tick of a palm that rises as the script says, in the lift"""
+    lift_scale: Positive = 0.1
+    """width of the lift reward [m/s]"""
+    action_rate: Finite = -0.01
+    """times the squared change of the action between two ticks"""
+    action_acceleration: Finite = -0.005
+    """times the squared second difference of the action"""
+
+
+@dataclass(frozen=True)
+class SuccessConfig(Settings):
+    """What counts as a grasp that holds (method §7)."""
+
+    height: Positive = 0.10
+    """rise of the object that counts as lifted [m]"""
+    hold_s: NonNegative = 0.5
+    """how long the rise must last [s]"""
+    slip: Positive = 0.03
+    """palm-frame displacement since lift onset that counts as a slip [m]"""
+
+
+@dataclass(frozen=True)
+class ClosingTaskConfig(CloserConfig):
+    """The closing task: its controller, rewards, success, and the time that it has."""
+
+    episode_s: Positive = 4.0
+    """time to close, lift and hold [s]"""
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    success: SuccessConfig = field(default_factory=SuccessConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.episode_ticks < 1:
+            raise InputError(self.name_of("episode_s"), self.episode_s, "one control tick or more")
+
+    @property
+    def episode_ticks(self) -> int:
+        """Control ticks of an episode."""
+        return round(self.episode_s / self.control_dt)
+
+
+@dataclass(frozen=True)
+class StartNoise(Settings):
+    """What a reset draws anew: errors of the object's pose against the handoff, and physics."""
+
+    offset_m: Annotated[float, Range(0, MAX_OFFSET_M)] = 0.005
+    """lateral object offset, uniform in ± this along x and y [m]"""
+    angle_rad: Annotated[float, Range(0, MAX_ANGLE_RAD)] = 0.0
+    """object rotation about a random axis, uniform up to this [rad]"""
+    friction: tuple[Positive, Positive] = (0.8, 0.8)
+    """range of the sliding friction [-]"""
+    mass_scale: tuple[Positive, Positive] = (1.0, 1.0)
+    """range of the factor on the object's mass [-]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("friction", "mass_scale"):
+            low, high = getattr(self, name)
+            if not math.isfinite(high) or low > high:
+                raise InputError(self.name_of(name), (low, high), "the lower bound first")
+
+
+def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:
+    """The task that a file describes, of today or of when all its numbers were one flat list.
+
+    Args:
+        record: Values of JSON.
+        where: What they are called in messages.
+
+    Raises:
+        InputError: An unknown field, or an impossible value.
+    """
+    if isinstance(record, Mapping) and "grip_force" in record:
+        record = _nested(record, where)
+    return from_record(ClosingTaskConfig, record, where)
+
+
+def _nested(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The flat record of the first policies, sorted into today's parts."""
+    unknown = sorted(set(flat) - set(_FLAT))
+    if unknown:
+        raise InputError(where, ", ".join(unknown), "fields of the first version's task alone")
+    nested: dict[str, Any] = {}
+    for name, value in flat.items():
+        *parts, last = _FLAT[name].split(".")
+        at = nested
+        for part in parts:
+            at = at.setdefault(part, {})
+        at[last] = value
+    return nested
+
+
+# Where each field of the flat record stands now.
+_FLAT = {
+    "control_dt": "control_dt",
+    "episode_s": "episode_s",
+    "finger_action_rate": "action.finger_rate",
+    "arm_action_rate": "action.arm_rate",
+    "residual": "action.residual",
+    "residual_keep": "action.keep",
+    "residual_limit": "action.limit",
+    "grip_force": "grip.force",
+    "grip_ramp_s": "grip.ramp_s",
+    "arrival_distance": "grip.arrival",
+    "grip_together": "grip.together",
+    "approach_s": "grip.approach_s",
+    "command_angular_weight": "guidance.turn_weight",
+    "hold_lead": "guidance.lead",
+    "finger_damping": "guidance.damping",
+    "finger_rate_limit": "guidance.rate_limit",
+    "arm_damping": "lift.damping",
+    "guidance_speed": "guidance.speed",
+    "guidance_slowdown": "guidance.slowdown",
+    "guidance_return": "guidance.return_rate",
+    "guidance_turn": "guidance.turn_rate",
+    "angular_weight": "reward.turn_weight",
+    "lift_speed": "lift.speed",
+    "lift_height": "lift.height",
+    "lift_ramp_s": "lift.ramp_s",
+    "lift_delay_s": "lift.delay_s",
+    "acquisition_s": "stages.acquisition_s",
+    "acquisition_fingers": "stages.fingers",
+    "reach_weight": "reward.reach",
+    "reach_scale": "reward.reach_scale",
+    "reach_floor": "reward.reach_floor",
+    "contact_weight": "reward.contact",
+    "lift_weight": "reward.lift",
+    "lift_reward_scale": "reward.lift_scale",
+    "action_rate_weight": "reward.action_rate",
+    "action_acceleration_weight": "reward.action_acceleration",
+    "observer_gain": "observer.gain",
+    "stall_speed": "observer.stall_speed",
+    "contact_torque": "observer.contact_torque",
+    "contact_ticks": "observer.contact_ticks",
+    "stop_margin": "observer.stop_margin",
+    "success_height": "success.height",
+    "success_hold_s": "success.hold_s",
+    "success_slip": "success.slip",
+}

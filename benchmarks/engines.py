@@ -24,15 +24,15 @@ import tyro
 from jaxtyping import Array
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, World, build_scene_of, build_world
-from mjx_grasp.tasks.closing import ClosingEnv, EnvState
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world
+from mjx_grasp.tasks.closing import ClosingState, ClosingTask
 
 SCHEMA = "mjx_grasp.engines/1"
 
@@ -65,39 +65,43 @@ class EnginesConfig:
                 raise InputError(name, getattr(self, name), "a whole number from 1")
 
 
-def stepper(env: ClosingEnv, worlds: int) -> Callable[[EnvState, int], tuple[EnvState, Array]]:
+def stepper(
+    task: ClosingTask, worlds: int
+) -> Callable[[ClosingState, int], tuple[ClosingState, Array]]:
     """Control ticks with zero actions, compiled for each count of them."""
-    zeros = jnp.zeros((worlds, env.action_size))
+    zeros = jnp.zeros((worlds, task.action_size))
 
     def ticks(state, count):
         def tick(carry, _):
-            carry, out = env.tick(carry, zeros)
-            return carry, out.reward
+            carry, out = task.tick(carry, zeros)
+            return carry, sum(out.rewards.values())
 
         return jax.lax.scan(tick, state, length=count)
 
     return jax.jit(ticks, static_argnums=1)
 
 
-def warm_state(config: EnginesConfig, world: World, worlds: int) -> EnvState:
+def warm_state(config: EnginesConfig, world: World, worlds: int) -> ClosingState:
     """The state both engines start from, in native MuJoCo's form."""
-    env = world.env("mujoco", worlds, ClosingConfig())
-    state, _ = env.start(env.draw(jax.random.PRNGKey(config.seed), worlds))
-    state, _ = stepper(env, worlds)(state, config.warm_up)
+    task = world.task("mujoco", worlds, TaskConfig())
+    state, _ = task.start(task.draw(jax.random.PRNGKey(config.seed), worlds))
+    state, _ = stepper(task, worlds)(state, config.warm_up)
     return jax.block_until_ready(state)
 
 
-def measure(config: EnginesConfig, world: World, engine: Engine, warm: EnvState) -> dict[str, Any]:
+def measure(
+    config: EnginesConfig, world: World, engine: Engine, warm: ClosingState
+) -> dict[str, Any]:
     """The timings of one engine from a state of native MuJoCo."""
     worlds = len(warm.physics.qpos)
-    env = world.env(engine, worlds, ClosingConfig())
+    task = world.task(engine, worlds, TaskConfig())
     state = warm
     if engine == "mjx":
         native = warm.physics
-        physics = env.physics.init(native.qpos, native.ctrl)
+        physics = task.physics.init(native.qpos, native.ctrl)
         physics = physics.replace(qvel=native.qvel, qacc_warmstart=native.warmstart)
         state = warm._replace(physics=physics)
-    run = stepper(env, worlds)
+    run = stepper(task, worlds)
     start = time.perf_counter()
     jax.block_until_ready(run(state, config.ticks))
     first = time.perf_counter() - start
@@ -114,23 +118,23 @@ def measure(config: EnginesConfig, world: World, engine: Engine, warm: EnvState)
         "control_steps_per_s": worlds * config.ticks / median,
         "slowest_over_fastest": max(seconds) / min(seconds),
         "compile_and_first_run_s": first,
-        "mean_constraints": float(jnp.mean(end.readings.constraints)),
-        "touching_fingers_percent": 100.0 * float(jnp.mean(end.readings.tip_found)),
-        "overflows": int(jnp.sum(end.readings.overflow)),
+        "mean_constraints": float(jnp.mean(end.truth.constraints)),
+        "touching_fingers_percent": 100.0 * float(jnp.mean(end.truth.tip_found)),
+        "overflows": int(jnp.sum(end.truth.overflow)),
     }
 
 
 def main(config: EnginesConfig) -> None:
     """Measures, writes the file after each setting, prints the table."""
-    scene = build_scene_of(config.objects, config.objects_dir, config.scene)
+    scene = build_scene_of(config.objects, config.objects_dir, load_robot(), config.scene)
     stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
     names = [o.name for o in scene.objects]
-    world = build_world(scene, stored.select(names), ClosingConfig())
+    world = build_world(scene, stored.select(names), TaskConfig().control_dt)
     document = {
         "schema": SCHEMA,
         "provenance": provenance(config.seed),
         "objects": names,
-        "substeps": round(ClosingConfig().control_dt / config.scene.physics_dt),
+        "substeps": round(TaskConfig().control_dt / config.scene.physics_dt),
         "settings": {k: v for k, v in asdict(config).items() if isinstance(v, int)},
     }
     rows: list[dict[str, Any]] = []

@@ -35,17 +35,17 @@ from brax.training import acting
 from brax.training.agents.ppo import networks
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning import ppo
-from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
+from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.memory import bytes_per_world
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 
 
 @dataclass(frozen=True)
@@ -159,11 +159,11 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
 
 def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> dict[str, Any]:
     """The timings of one setting: of whole PPO iterations, and of the layers below if wanted."""
-    task = ClosingConfig()
-    scene = build_scene_of(config.objects, config.objects_dir, config.scene)
-    world = build_world(scene, load_handoffs(config.handoffs), task)
+    task = TaskConfig()
+    scene = build_scene_of(config.objects, config.objects_dir, load_robot(), config.scene)
+    world = build_world(scene, load_handoffs(config.handoffs), task.control_dt)
     settings = PPOConfig(worlds=worlds, unroll=unroll)
-    env = BraxClosingEnv(world.env("mjx", worlds, task), worlds)
+    env = BraxTask(world.task("mjx", worlds, task), worlds)
 
     state = ppo.init_state(settings, env, config.seed)
     start = time.perf_counter()
@@ -192,8 +192,8 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
         "degrees_of_freedom": int(scene.model.nv),
         "bytes_per_world": bytes_per_world(scene, unroll),
         "peak_bytes": memory.get("peak_bytes_in_use"),
-        "mean_constraints": float(jnp.mean(inner.readings.constraints)),
-        "max_constraints": int(jnp.max(inner.readings.constraints)),
+        "mean_constraints": float(jnp.mean(inner.truth.constraints)),
+        "max_constraints": int(jnp.max(inner.truth.constraints)),
         "solver_iterations": [
             config.scene.solver_iterations,
             config.scene.line_search_iterations,
@@ -211,13 +211,13 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
 def _layers(
     config: BenchmarkConfig,
     settings: PPOConfig,
-    env: BraxClosingEnv,
+    env: BraxTask,
     state: ppo.TrainState,
     seconds: dict[str, float],
     compile_s: dict[str, float],
 ) -> dict[str, Any]:
     """Adds the seconds per tick of every layer below PPO, from a training's state."""
-    worlds, unroll, physics = settings.worlds, settings.unroll, env.env.physics
+    worlds, unroll, physics = settings.worlds, settings.unroll, env.task.physics
     nets = ppo.make_networks(settings, env)
     policy = networks.make_inference_fn(nets)(
         (state.normalizer, state.params.policy, state.params.value)
@@ -234,16 +234,16 @@ def _layers(
 
     def task_ticks(s):
         def tick(carry, _):
-            carry, out = env.env.tick(carry, zeros)
-            return carry, out.reward
+            carry, out = env.task.tick(carry, zeros)
+            return carry, sum(out.rewards.values())
 
         final, reward = jax.lax.scan(tick, s, length=config.ticks)
-        return final.readings, reward
+        return (final.measured, final.truth), reward
 
     def mjx_ticks(s):
         def tick(carry, _):
-            carry, readings = physics.step(carry, inner.params, s.ctrl)
-            return carry, readings.q
+            carry, measured, _ = physics.step(carry, inner.params, s.ctrl)
+            return carry, measured.q
 
         final, q = jax.lax.scan(tick, s, length=config.ticks)
         return final.qpos, q

@@ -17,7 +17,6 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
@@ -28,8 +27,9 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.records.atomic import as_json
 from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 
 CONDITIONS = {
     "nominal": dict(offset_mm=5.0, angle_deg=0.0, friction=0.8),
@@ -71,16 +71,17 @@ def main(config: ComparisonConfig) -> None:
     console = Console(stderr=True)
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
-    policy, stored = load_controller(file), load_handoffs(handoffs)
+    robot = load_robot()
+    policy, stored = load_controller(file, robot), load_handoffs(handoffs)
     made_of = {
         "settings": as_json(asdict(config)),
         "sha256": file_digests(policy=file, handoffs=handoffs),
     }
-    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
+    scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
-    world = build_world(scene, states_of(stored, names, config.states), ClosingConfig())
+    world = build_world(scene, states_of(stored, names, config.states), TaskConfig().control_dt)
     rows: list[ResultRow] = []
     counted: dict[str, int] = {}
     for name in config.conditions:

@@ -13,13 +13,14 @@ import tyro
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.evaluation.trajectory import save_trajectory
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 from mjx_grasp.training.after import best_grasp
 from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
 
@@ -40,10 +41,13 @@ class RecordConfig:
 
 def main(config: RecordConfig) -> None:
     """Records and renders."""
-    policy = load_controller(config.policy or asset_path("policy.npz"))
-    scene = build_scene_of([config.object], config.objects_dir, SceneConfig())
+    robot = load_robot()
+    policy = load_controller(config.policy or asset_path("policy.npz"), robot)
+    scene = build_scene_of([config.object], config.objects_dir, robot, SceneConfig())
     stored = load_handoffs(shipped_handoffs(config.objects_dir))
-    world = build_world(scene, states_of(stored, [config.object], "evaluation"), ClosingConfig())
+    world = build_world(
+        scene, states_of(stored, [config.object], "evaluation"), TaskConfig().control_dt
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grasp.npz"
         save_trajectory(path, best_grasp(world, config.object, policy, StartNoise(), config.seed))

@@ -9,18 +9,18 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import write_results
-from mjx_grasp.evaluation.run import chosen_states, evaluate, load_controller
+from mjx_grasp.evaluation.run import chosen_states, evaluate, load_controller, policy_task
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.records.atomic import as_json, check_writable
 from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 
 
 def main(config: EvaluateConfig) -> None:
@@ -28,14 +28,16 @@ def main(config: EvaluateConfig) -> None:
     console = Console(stderr=True)
     check_writable("--out", config.out)
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+    robot = load_robot(config.robot)
     file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
-    policy = None if file is None else load_controller(file)
+    policy = None if file is None else load_controller(file, robot)
     stored = load_handoffs(handoffs)
     names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
-    scene = build_scene_of(config.objects, config.objects_dir, SceneConfig())
-    world = build_world(scene, states, ClosingConfig())
+    scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
+    task = policy_task(policy) if policy else TaskConfig()
+    world = build_world(scene, states, task.control_dt)
     rows, trials = evaluate(world, names, config, policy, stored.kind, console)
     write_results(
         config.out,

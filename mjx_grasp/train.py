@@ -18,6 +18,7 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.training.config import TrainConfig, preset_config, stored_config
 from mjx_grasp.training.job import train
+from mjx_grasp.viz.report import report_run
 
 
 def parse(argv: list[str]) -> TrainConfig:
@@ -50,8 +51,10 @@ def parse(argv: list[str]) -> TrainConfig:
 
 def main() -> None:
     """The command."""
-    console = Console(stderr=True)
-    train(parse(sys.argv[1:]), console)
+    console, config = Console(stderr=True), parse(sys.argv[1:])
+    folder = train(config, console)
+    if config.evaluation_episodes:
+        report_run(folder, console)
 
 
 if __name__ == "__main__":

@@ -180,9 +180,7 @@ class Closer:
         hold = control.hold_until_landed(state.hold, q, rates, frozen, dt, config.guidance)
         force = stages.grip_force(state.grip_ticks * dt, config.grip)
         torque = control.grip_torques(jacobian, -targets.normal, force)
-        residual = control.update_residual(
-            state.residual, action[..., :fingers], dt, config.action
-        )
+        residual = control.update_residual(state.residual, action[..., :fingers], dt, config.action)
 
         speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
         palm = control.palm_jacobian(measured, at.arm_policy)

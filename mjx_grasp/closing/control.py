@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.closing.config import ActionConfig, GuidanceConfig, LiftConfig
-from mjx_grasp.robot.indices import RobotIndices
 from mjx_grasp.geometry.linear import damped_least_squares
+from mjx_grasp.robot.indices import RobotIndices
 from mjx_grasp.robot.interface import Measured
 
 

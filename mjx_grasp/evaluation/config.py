@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M, StartNoise
 from mjx_grasp.errors import InputError
 from mjx_grasp.tasks.assemble import Engine
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, StartNoise
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class EvaluateConfig:
     """Objects or groups (eight, train, held_out, all); those without start states are reported."""
     objects_dir: Path | None = None
     """Folder of real scans; parametric stand-ins without one."""
+    robot: str = "rizon4_hx5d20"
+    """Name or description file of the robot."""
     episodes: int = 64
     """Episodes per object."""
     engine: Engine = "mujoco"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
@@ -26,8 +25,9 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.tasks.assemble import World
+from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.tasks.assemble import TaskConfig, World
+from mjx_grasp.tasks.config import task_from_record
 from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import FAILURES
 
@@ -50,8 +50,8 @@ def chosen_states(
     return names, without, part.select(names)
 
 
-def load_controller(path: Path) -> Policy:
-    """Reads a policy that fits the robot, of a task that is known here.
+def load_controller(path: Path, robot: RobotSpec) -> Policy:
+    """Reads a policy of a robot, of a task that is known here.
 
     Raises:
         FileError: It is unreadable, or of another robot or task.
@@ -61,7 +61,7 @@ def load_controller(path: Path) -> Policy:
         policy_task(policy)
     except InputError as error:
         raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
-    sizes, fitting = (policy.observation_size, policy.action_size), policy_sizes(load_robot())
+    sizes, fitting = (policy.observation_size, policy.action_size), policy_sizes(robot)
     if sizes != fitting:
         names = "observation_size, action_size = "
         raise FileError(path, f"{names}{sizes}", f"{fitting}, those of the robot")
@@ -75,7 +75,7 @@ def evaluate(
     policy: Policy | None,
     handoff_kind: str,
     console: Console,
-    task: ClosingConfig | None = None,
+    task: TaskConfig | None = None,
 ) -> tuple[list[ResultRow], dict[str, Trials]]:
     """Runs the trials of each object, sums them up and warns of what the engine could not do.
 
@@ -92,39 +92,35 @@ def evaluate(
     if policy:
         task = policy_task(policy)
     else:
-        task = replace(task or ClosingConfig(), grip_force=config.squeeze_force)
+        task = pressing(task or TaskConfig(), config.squeeze_force)
     worlds = min(config.worlds, config.episodes)
-    env = world.env(config.engine, worlds, task, config.noise, with_privileged=False)
-    controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(env)
+    run = world.task(config.engine, worlds, task, config.noise, with_privileged=False)
+    controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:
         job = bar.add_task(f"{config.controller} in {config.engine}", total=len(names))
         for name in names:
             index = world.scene.object_index(name)
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
-            trials[name] = run_trials(env, controller, draw, worlds)
+            trials[name] = run_trials(run, controller, draw, worlds)
             rows.append(summarise(name, trials[name], config, handoff_kind))
             _warn(name, trials[name], console)
             bar.update(job, advance=1)
     return rows, trials
 
 
-def policy_task(policy: Policy) -> ClosingConfig:
+def pressing(task: TaskConfig, force: float) -> TaskConfig:
+    """The task with another force of its own command [N]."""
+    return replace(task, grip=replace(task.grip, force=force))
+
+
+def policy_task(policy: Policy) -> TaskConfig:
     """The task a policy was trained in, as its file says.
 
     Raises:
-        InputError: A field is unknown or missing, or has an impossible value.
+        InputError: A field is unknown or has an impossible value.
     """
-    task, known = policy.meta.get("task"), {f.name for f in fields(ClosingConfig)}
-    if not isinstance(task, dict):
-        raise InputError("task", task, "the fields of ClosingConfig")
-    for name in (*sorted(task.keys() - known), *sorted(known - task.keys())):
-        expected = "all fields of ClosingConfig and no others"
-        raise InputError(f"task.{name}", task.get(name), expected)
-    try:
-        return ClosingConfig(**task)
-    except TypeError as error:
-        raise InputError("task", str(error), "values as ClosingConfig has them") from None
+    return task_from_record(policy.meta.get("task"))
 
 
 def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str) -> ResultRow:

@@ -395,3 +395,12 @@ def _force(newton: float | None) -> str:
 
 def _forces(mean: float | None, peak: float | None) -> str:
     return "" if mean is None or peak is None else f"{_force(mean)} / {_force(peak)}"
+
+
+def untrained_note(force: float) -> str:
+    """What a squeeze with the policy's own command is.
+
+    Args:
+        force: Of the command, per finger [N].
+    """
+    return f"squeeze {force:g} N is the policy before its training: the command that it adds to."

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.errors import InputError
-from mjx_grasp.tasks.closing import ClosingEnv, EnvState
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.starts import StartDraw, StartTable, draw_starts
-from mjx_grasp.tasks.success import failure_classes
+from mjx_grasp.tasks.task import Observations, Task, TaskState
 
-Controller = Callable[[dict[str, Array]], Float[Array, "w a"]]
+Controller = Callable[[Observations], Float[Array, "w a"]]
 """Observations in, actions out."""
 
 Column = Array | np.ndarray
@@ -46,9 +45,9 @@ class Trials(NamedTuple):
     """Sum of rewards."""
 
 
-def zero_controller(env: ClosingEnv) -> Controller:
-    """The model-based command alone: with `grip_force` F this is the squeeze baseline."""
-    return lambda obs: jnp.zeros((obs["state"].shape[0], env.action_size))
+def zero_controller(task: Task) -> Controller:
+    """The task's own command alone: in the closing task the squeeze, with its `grip.force`."""
+    return lambda obs: jnp.zeros((obs["state"].shape[0], task.action_size))
 
 
 def paired_draws(
@@ -71,17 +70,17 @@ def paired_draws(
     return draw._replace(row=jnp.asarray(picked))
 
 
-def run_trials(env: ClosingEnv, controller: Controller, draw: StartDraw, worlds: int) -> Trials:
+def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int) -> Trials:
     """Runs one episode per row of `draw`, `worlds` at a time.
 
     Args:
-        env: The task on an engine.
+        task: On an engine.
         controller: The controller.
         draw: Starts.
         worlds: Worlds per batch; an MJX engine's own number.
     """
     count = len(draw.row)
-    batch = jax.jit(lambda d: _episode(env, controller, d))
+    batch = jax.jit(lambda d: _episode(task, controller, d, lambda state: ())[0])
     parts = []
     for first in range(0, count, worlds):
         index = np.minimum(np.arange(first, first + worlds), count - 1)
@@ -91,23 +90,14 @@ def run_trials(env: ClosingEnv, controller: Controller, draw: StartDraw, worlds:
 
 
 def record_trials(
-    env: ClosingEnv, controller: Controller, draw: StartDraw
+    task: Task, controller: Controller, draw: StartDraw
 ) -> tuple[Trials, Float[np.ndarray, "t w nq"]]:
     """The same, with the positions of every tick, for pictures."""
 
-    def run(d: StartDraw) -> tuple[Trials, Array]:
-        def tick(carry, _):
-            state, obs = carry
-            state, out = env.tick(state, controller(obs))
-            qpos = env.physics.pack(state.physics)["qpos"]
-            return (state, out.obs), (qpos, out.broken, state.readings.overflow)
+    def positions(state: TaskState) -> Float[Array, "w nq"]:
+        return task.snapshot(state)["qpos"]
 
-        (state, _), (qpos, broken, overflow) = jax.lax.scan(
-            tick, env.start(d), length=env.config.episode_ticks
-        )
-        return _trials(env, state, broken, overflow), qpos
-
-    trials, qpos = jax.jit(run)(draw)
+    trials, qpos = jax.jit(lambda d: _episode(task, controller, d, positions))(draw)
     return jax.tree.map(np.asarray, trials), np.asarray(qpos)
 
 
@@ -120,30 +110,32 @@ def incidents(runs: Iterable[Trials]) -> dict[str, int]:
     }
 
 
-def _episode(env: ClosingEnv, controller: Controller, draw: StartDraw) -> Trials:
-    def tick(carry: tuple[EnvState, dict[str, Array]], _: None):
-        state, obs = carry
-        state, out = env.tick(state, controller(obs))
-        return (state, out.obs), (out.broken, state.readings.overflow)
+def _episode(
+    task: Task, controller: Controller, draw: StartDraw, look: Callable[[TaskState], Any]
+) -> tuple[Trials, Any]:
+    """One episode of all worlds, and what `look` saw after each tick."""
 
-    (state, _), seen = jax.lax.scan(tick, env.start(draw), length=env.config.episode_ticks)
-    return _trials(env, state, *seen)
+    def tick(carry: tuple[TaskState, Observations, Array], _: None) -> tuple[Any, Any]:
+        state, obs, total = carry
+        state, out = task.tick(state, controller(obs))
+        total = total + sum(out.rewards.values(), start=jnp.zeros_like(total))
+        return (state, out.obs, total), (out.broken, out.overflow, look(state))
 
-
-def _trials(
-    env: ClosingEnv, state: EnvState, broken: Bool[Array, "t n"], overflow: Bool[Array, "t n"]
-) -> Trials:
-    """Sums up the last state, and what every tick told of the engine."""
-    episode = state.episode
-    lift_ticks = episode.lift_tick + 1  # the onset's own tick counts
+    begun = (*task.start(draw), jnp.zeros(len(draw.row)))
+    (state, _, total), (broken, overflow, seen) = jax.lax.scan(
+        tick, begun, length=task.episode_ticks
+    )
+    summary = task.summary(state)
     return Trials(
-        row=episode.row,
-        success=episode.outcome.success,
-        **failure_classes(episode.outcome),
+        row=summary.row,
+        success=summary.success,
+        never_lifted=summary.never_lifted,
+        slipped=summary.slipped,
+        not_held=summary.not_held,
         broken=broken.any(axis=0),
         overflow_ticks=overflow.sum(axis=0),
-        force_mean=jnp.where(episode.lifting, episode.force_sum / lift_ticks, jnp.nan),
-        force_peak=jnp.where(episode.lifting, episode.force_peak, jnp.nan),
-        peak_rise=episode.outcome.peak_rise,
-        reward=episode.total_reward,
-    )
+        force_mean=jnp.where(summary.lifting, summary.force_mean, jnp.nan),
+        force_peak=jnp.where(summary.lifting, summary.force_peak, jnp.nan),
+        peak_rise=summary.peak_rise,
+        reward=total,
+    ), seen

@@ -1,4 +1,4 @@
-"""The closing environment as a Brax environment, with resets, for Brax's rollout."""
+"""Any task as a Brax environment, with resets, for Brax's rollout."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from mjx_grasp.tasks.closing import ClosingEnv, EnvState
+from mjx_grasp.tasks.task import Task
 
 EPISODE_FIELDS = (
     "truncation",
@@ -17,21 +17,22 @@ EPISODE_FIELDS = (
     "episode_success",
     "episode_reward",
     "episode_force",
+    "reward_terms",
     "broken",
     "overflow",
 )
 """Fields of `State.info` that a rollout collects at every step."""
 
 
-class BraxClosingEnv(Env):
+class BraxTask(Env):
     """All worlds advance together and are reset where their episode ends.
 
-    `State.info["incident"]` keeps the packed state in which a world last stopped being finite,
-    so that it can be written out and looked at.
+    `State.info["incident"]` keeps the snapshot in which a world last stopped being finite, so that
+    it can be written out and looked at.
     """
 
-    def __init__(self, env: ClosingEnv, worlds: int, stagger: bool = True):
-        self.env, self.worlds, self._stagger = env, worlds, stagger
+    def __init__(self, task: Task, worlds: int, stagger: bool = True):
+        self.task, self.worlds, self._stagger = task, worlds, stagger
 
     @property
     def observation_size(self) -> dict[str, tuple[int, ...]]:
@@ -42,76 +43,81 @@ class BraxClosingEnv(Env):
     @property
     def action_size(self) -> int:
         """Number of actions."""
-        return self.env.action_size
+        return self.task.action_size
 
     @property
     def backend(self) -> str:
-        """What steps the physics."""
-        return type(self.env.physics).__name__
+        """What runs the worlds."""
+        return type(self.task).__name__
 
     def reset(self, rng: Array) -> State:
         """Fresh worlds; with `stagger` their first episodes end at random ticks."""
         key, draw_key, clock_key = jax.random.split(rng, 3)
-        state, obs = self.env.start(self.env.draw(draw_key, self.worlds))
+        task = self.task
+        state, obs = task.start(task.draw(draw_key, self.worlds))
+        deadline = jnp.full(self.worlds, task.episode_ticks, jnp.int32)
         if self._stagger:
-            ticks = self.env.config.episode_ticks
-            deadline = jax.random.randint(clock_key, (self.worlds,), 1, ticks + 1)
-            state = state._replace(episode=state.episode._replace(deadline=deadline))
+            deadline = jax.random.randint(clock_key, (self.worlds,), 1, task.episode_ticks + 1)
         zeros = jnp.zeros(self.worlds)
         info: dict[str, Any] = dict.fromkeys(EPISODE_FIELDS, zeros)
-        info["key"] = key
-        info["incident"] = _first_world(self._packed(state), jnp.zeros((), jnp.int32))
+        info |= {
+            "key": key,
+            "age": jnp.zeros(self.worlds, jnp.int32),
+            "deadline": deadline,
+            "total_reward": zeros,
+            "reward_terms": jnp.zeros((self.worlds, len(task.reward_names))),
+            "incident": _first_world(task.snapshot(state), jnp.zeros((), jnp.int32)),
+        }
         return State(state, obs, zeros, zeros, {}, info)
 
-    def step(self, state: State, action: Array) -> State:
+    def step(self, state: State, action: Float[Array, "w k"]) -> State:
         """One control tick and, where an episode ended, a reset."""
-        key, draw_key = jax.random.split(state.info["key"])
-        before: EnvState = state.pipeline_state
-        after, tick = self.env.tick(before, action)
-        done = tick.truncated | tick.broken
-        episode = after.episode
+        task, info = self.task, state.info
+        key, draw_key = jax.random.split(info["key"])
+        after, tick = task.tick(state.pipeline_state, action)
+        reward = sum(tick.rewards.values(), start=jnp.zeros(self.worlds))
+        age, total = info["age"] + 1, info["total_reward"] + reward
+        truncated = age >= info["deadline"]
+        done = truncated | tick.broken
         # A staggered first episode is shorter than the task and says nothing about success.
-        whole = done & (episode.deadline == self.env.config.episode_ticks)
-        which = jnp.argmax(tick.broken)
+        whole = done & (info["deadline"] == task.episode_ticks)
+        summary = task.summary(after)
+        counts = whole & ~tick.broken & summary.lifting
         incident = jax.tree.map(
             lambda new, old: jnp.where(tick.broken.any(), new, old),
-            _first_world(self._packed(before), which),
-            state.info["incident"],
+            _first_world(task.snapshot(state.pipeline_state), jnp.argmax(tick.broken)),
+            info["incident"],
         )
         info = {
             "key": key,
             "incident": incident,
-            "truncation": (tick.truncated & ~tick.broken).astype(jnp.float32),
+            "age": jnp.where(done, 0, age),
+            "deadline": jnp.where(done, task.episode_ticks, info["deadline"]),
+            "total_reward": jnp.where(done, 0.0, total),
+            "truncation": (truncated & ~tick.broken).astype(jnp.float32),
             "episode_done": whole.astype(jnp.float32),
-            "episode_success": (whole & episode.outcome.success).astype(jnp.float32),
-            "episode_reward": jnp.where(whole, episode.total_reward, 0.0),
-            "episode_force": jnp.where(
-                whole & ~tick.broken, episode.force_sum / (episode.lift_tick + 1), 0.0
-            ),
+            "episode_success": (whole & summary.success).astype(jnp.float32),
+            "episode_reward": jnp.where(whole, total, 0.0),
+            "episode_force": jnp.where(counts, summary.force_mean, 0.0),
+            "reward_terms": jnp.stack([tick.rewards[n] for n in task.reward_names], axis=-1),
             "broken": tick.broken.astype(jnp.float32),
-            "overflow": after.readings.overflow.astype(jnp.float32),
+            "overflow": tick.overflow.astype(jnp.float32),
         }
-        after, obs = self.env.reset(after, done, self.env.draw(draw_key, self.worlds))
-        return State(after, obs, tick.reward, done.astype(jnp.float32), {}, info)
+        after, obs = task.reset(after, done, task.draw(draw_key, self.worlds))
+        return State(after, obs, reward, done.astype(jnp.float32), {}, info)
 
     def pack(self, state: State) -> dict[str, Any]:
         """A state as arrays for a checkpoint."""
-        inner: EnvState = state.pipeline_state
         return {
-            "physics": self.env.physics.pack(inner.physics),
-            "rest": inner[1:],
+            "task": self.task.pack(state.pipeline_state),
             "brax": (state.obs, state.reward, state.done, state.info),
         }
 
     def unpack(self, packed: dict[str, Any]) -> State:
         """The state that `pack` described."""
-        inner = EnvState(self.env.physics.unpack(packed["physics"]), *packed["rest"])
         obs, reward, done, info = packed["brax"]
-        return State(inner, obs, reward, done, {}, info)
-
-    def _packed(self, state: EnvState) -> dict[str, Array]:
-        return {**self.env.physics.pack(state.physics), "row": state.episode.row}
+        return State(self.task.unpack(packed["task"]), obs, reward, done, {}, info)
 
 
-def _first_world(packed: dict[str, Array], index: Array) -> dict[str, Array]:
-    return {name: x[index] for name, x in packed.items()}
+def _first_world(snapshot: dict[str, Array], index: Array) -> dict[str, Array]:
+    return {name: x[index] for name, x in snapshot.items()}

@@ -13,7 +13,7 @@ import jax
 import orbax.checkpoint as ocp
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.ppo import TrainState
 from mjx_grasp.records.atomic import replacing
 
@@ -24,7 +24,7 @@ _NAME = re.compile(r"^iteration_(\d+)$")
 def save_checkpoint(
     folder: str | Path,
     state: TrainState,
-    env: BraxClosingEnv,
+    env: BraxTask,
     config: dict[str, Any],
     keep: int = 2,
 ) -> Path:
@@ -82,7 +82,7 @@ def newest_checkpoint(folder: str | Path) -> Path | None:
     return done[-1]
 
 
-def restore_checkpoint(path: str | Path, template: TrainState, env: BraxClosingEnv) -> TrainState:
+def restore_checkpoint(path: str | Path, template: TrainState, env: BraxTask) -> TrainState:
     """Reads a training state back.
 
     Args:
@@ -140,5 +140,5 @@ def _damage(path: Path) -> str | None:
     return f"damaged or missing files ({', '.join(changed[:3])})" if changed else None
 
 
-def _packed(state: TrainState, env: BraxClosingEnv) -> dict[str, Any]:
+def _packed(state: TrainState, env: BraxTask) -> dict[str, Any]:
     return state._asdict() | {"env": env.pack(state.env)}

@@ -41,7 +41,7 @@ class MetricLog:
         path = folder / "metrics.csv"
         kept = _rows_until(path, from_iteration) if from_iteration else []
         self._file = path.open("w", newline="")
-        self._csv = csv.DictWriter(self._file, columns)
+        self._csv = csv.DictWriter(self._file, columns, restval="nan", extrasaction="ignore")
         self._csv.writeheader()
         self._csv.writerows(kept)
         self._file.flush()

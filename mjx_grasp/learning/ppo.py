@@ -8,7 +8,7 @@ order of operations with the whole training state in one pytree.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +22,7 @@ from brax.training.agents.ppo import optimizer as ppo_optimizer
 from flax import linen
 from jaxtyping import Array, Float
 
-from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxClosingEnv
+from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
 
 
@@ -43,7 +43,7 @@ _SMALLEST_STD = 0.1
 Metrics = dict[str, Float[Array, ""]]
 
 
-def make_networks(config: PPOConfig, env: BraxClosingEnv) -> networks.PPONetworks:
+def make_networks(config: PPOConfig, env: BraxTask) -> networks.PPONetworks:
     """Actor and critic; the critic reads `privileged_state` when the preset says so."""
     return networks.make_ppo_networks(
         env.observation_size,
@@ -68,7 +68,7 @@ def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(config.gradient_norm), adam)
 
 
-def init_state(config: PPOConfig, env: BraxClosingEnv, seed: int) -> TrainState:
+def init_state(config: PPOConfig, env: BraxTask, seed: int) -> TrainState:
     """A training that has not begun."""
     key, env_key, policy_key, value_key = jax.random.split(jax.random.PRNGKey(seed), 4)
     nets = make_networks(config, env)
@@ -89,7 +89,7 @@ def init_state(config: PPOConfig, env: BraxClosingEnv, seed: int) -> TrainState:
 
 
 def make_iteration(
-    config: PPOConfig, env: BraxClosingEnv
+    config: PPOConfig, env: BraxTask
 ) -> Callable[[TrainState], tuple[TrainState, Metrics]]:
     """One PPO iteration: a rollout, then epochs of minibatches. To be jitted by the caller."""
     nets = make_networks(config, env)
@@ -152,7 +152,7 @@ def make_iteration(
         normalizer = running_statistics.update(
             state.normalizer, data.observation, std_min_value=_SMALLEST_STD
         )
-        metrics = _rollout_metrics(data) | jax.tree.map(jnp.mean, training)
+        metrics = _rollout_metrics(data, env.task.reward_names) | jax.tree.map(jnp.mean, training)
         return (
             TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1),
             metrics,
@@ -161,7 +161,12 @@ def make_iteration(
     return iterate
 
 
-def _rollout_metrics(data: Any) -> Metrics:
+def reward_columns(names: Sequence[str]) -> dict[str, str]:
+    """What the mean per step of each reward term is called in logs."""
+    return {name: f"reward/{name}" for name in names}
+
+
+def _rollout_metrics(data: Any, reward_names: Sequence[str]) -> Metrics:
     """Sums and means over a rollout, episodes counted where they ended."""
     info = data.extras["state_extras"]
     episodes = jnp.sum(info["episode_done"])
@@ -178,4 +183,7 @@ def _rollout_metrics(data: Any) -> Metrics:
         "force_n": per_episode("episode_force"),
         "broken_worlds": jnp.sum(info["broken"]),
         "overflows": jnp.sum(info["overflow"]),
+    } | {
+        column: jnp.mean(info["reward_terms"][..., k])
+        for k, column in enumerate(reward_columns(reward_names).values())
     }

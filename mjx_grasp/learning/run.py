@@ -22,12 +22,12 @@ from rich.progress import (
 from rich.table import Column
 
 from mjx_grasp.errors import MjxGraspError
-from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import checkpoints, save_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.interrupt import InterruptGuard
 from mjx_grasp.learning.log import MetricLog
-from mjx_grasp.learning.ppo import TrainState, make_iteration
+from mjx_grasp.learning.ppo import TrainState, make_iteration, reward_columns
 from mjx_grasp.records.atomic import replacing
 
 COLUMNS = (
@@ -69,7 +69,7 @@ class LoopConfig:
 def train_loop(
     folder: Path,
     state: TrainState,
-    env: BraxClosingEnv,
+    env: BraxTask,
     ppo: PPOConfig,
     loop: LoopConfig,
     run_config: dict[str, Any],
@@ -83,7 +83,8 @@ def train_loop(
     """
     iteration = jax.jit(make_iteration(ppo, env), donate_argnums=0)
     start = int(state.iteration)
-    log = MetricLog(folder, COLUMNS, start, loop.wandb_project, run_config)
+    columns = (*COLUMNS, *reward_columns(env.task.reward_names).values())
+    log = MetricLog(folder, columns, start, loop.wandb_project, run_config)
     saved = time.monotonic()
     began = saved - log.number_of_last("seconds")
     recent: dict[str, deque[float]] = {

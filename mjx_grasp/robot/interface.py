@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.robot.kinematics import Kinematics

@@ -27,7 +27,6 @@ from mjx_grasp.sim.physics import (
 )
 from mjx_grasp.sim.scene import Scene, build_scene
 
-
 _FRAMES = ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
 
 

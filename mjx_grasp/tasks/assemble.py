@@ -1,4 +1,4 @@
-"""From names and files to an environment: what training and evaluation share."""
+"""From names and files to a task: what training and evaluation share."""
 
 from __future__ import annotations
 
@@ -9,72 +9,86 @@ from typing import Literal
 
 import jax
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import Physics, check_control_rate
 from mjx_grasp.sim.scene import Scene, SceneConfig, build_scene
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.tasks.starts import StartTable, build_starts
+from mjx_grasp.tasks.task import Task
 
 Engine = Literal["mjx", "mujoco"]
+
+TaskConfig = ClosingTaskConfig
+"""The tasks there are."""
 
 
 @dataclass(frozen=True)
 class World:
-    """A scene and the start states in it; environments on either engine are made from it."""
+    """A scene and the start states in it; tasks on either engine are made from it."""
 
     scene: Scene
     starts: StartTable
 
-    def env(
+    def task(
         self,
         engine: Engine,
         worlds: int,
-        task: ClosingConfig,
+        config: TaskConfig,
         noise: StartNoise | None = None,
         with_privileged: bool = True,
-    ) -> ClosingEnv:
-        """The closing task on an engine.
+        extra_terms: tuple[RewardTerm, ...] = (),
+    ) -> Task:
+        """The task on an engine.
 
         Args:
             engine: `mjx` (Warp) or `mujoco` (native, threads).
             worlds: Worlds that advance together.
-            task: The task's numbers.
+            config: The task's numbers.
             noise: What resets draw.
             with_privileged: Whether observations hold the critic's part.
+            extra_terms: Reward terms beside the task's own.
         """
         physics: Physics = (
-            MjxPhysics(self.scene, worlds, task.control_dt)
+            MjxPhysics(self.scene, worlds, config.control_dt)
             if engine == "mjx"
-            else NativePhysics(self.scene, task.control_dt)
+            else NativePhysics(self.scene, config.control_dt)
         )
-        return ClosingEnv(physics, self.starts, task, noise, with_privileged)
+        return ClosingTask(physics, self.starts, config, noise, with_privileged, extra_terms)
 
 
-def build_scene_of(names: Sequence[str], objects_dir: Path | None, config: SceneConfig) -> Scene:
-    """Loads the robot and the named objects and compiles the scene.
+def build_scene_of(
+    names: Sequence[str], objects_dir: Path | None, robot: RobotSpec, config: SceneConfig
+) -> Scene:
+    """Loads the named objects and compiles the scene.
 
     Args:
         names: Object names or groups of the catalogue.
         objects_dir: Folder of real scans; parametric stand-ins without one.
+        robot: What grasps.
         config: Physics.
     """
-    return build_scene(load_objects(resolve(names), objects_dir), load_robot(), config)
+    return build_scene(load_objects(resolve(names), objects_dir), robot, config)
 
 
-def build_world(scene: Scene, handoffs: HandoffSet, task: ClosingConfig) -> World:
+def build_world(scene: Scene, handoffs: HandoffSet, control_dt: float) -> World:
     """Puts start states into a scene.
+
+    Args:
+        scene: It has to hold every object of the set.
+        handoffs: The states.
+        control_dt: Control period of the tasks to come [s].
 
     Raises:
         InputError: The states do not belong to the scene's objects.
     """
-    substeps = check_control_rate(scene, task.control_dt)
-    return World(scene, build_starts(scene, handoffs, substeps))
+    return World(scene, build_starts(scene, handoffs, check_control_rate(scene, control_dt)))
 
 
 def has_gpu() -> bool:

@@ -1,24 +1,26 @@
-"""The closing environment: handoff in, lifted object out (method §5).
+"""The closing task: handoff in, lifted object out (method §5).
 
-Written once over `Readings`, so that MJX and native MuJoCo run the same logic. All worlds advance
-together; every function takes and returns batches.
+Written once over `Measured` and `Truth`, so that MJX and native MuJoCo run the same logic. All
+worlds advance together; every function takes and returns batches.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.closing import control, stages
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.closing.guidance import guidance_field, way_left
-from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
-from mjx_grasp.sim.physics import Physics, PhysicsState, Readings, WorldParams
-from mjx_grasp.tasks import rewards
-from mjx_grasp.tasks.observation import STACKED_STEPS, policy_sizes, privileged, proprioception
+from mjx_grasp.closing import control
+from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.interface import Measured
+from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+from mjx_grasp.tasks.observation import STACKED_STEPS, privileged, proprioception
+from mjx_grasp.tasks.rewards import Moment, RewardTerm, closing_terms
 from mjx_grasp.tasks.starts import (
     StartDraw,
     StartTable,
@@ -27,71 +29,43 @@ from mjx_grasp.tasks.starts import (
     draw_starts,
     placed_object,
 )
-from mjx_grasp.tasks.success import Outcome, initial_outcome, update_outcome
+from mjx_grasp.tasks.success import Progress, failure_classes, initial_progress, update_progress
+from mjx_grasp.tasks.task import EpisodeSummary, Observations, TaskTick
 
 
 class Episode(NamedTuple):
-    """The task's own state of each world."""
+    """What the task remembers of each world beside its controller."""
 
     row: Int[Array, " w"]
-    """Row of the start table."""
-    tick: Int[Array, " w"]
-    deadline: Int[Array, " w"]
-    """The tick at which the episode is cut; earlier in the staggered first one."""
-    lifting: Bool[Array, " w"]
-    lift_tick: Int[Array, " w"]
-    landed: Bool[Array, "w f"]
-    grip_ticks: Int[Array, "w f"]
-    """Ticks since the finger landed or arrived, whichever was first."""
-    hold: Float[Array, "w f j"]
-    """Guided finger joint targets [rad]."""
-    residual: Float[Array, "w m"]
-    """The policy's share of the finger targets [rad]."""
-    arm: Float[Array, "w a"]
-    """Arm joint targets [rad]."""
+    """of the start table"""
     action: Float[Array, "w k"]
     last_action: Float[Array, "w k"]
     stack: Float[Array, "w s d"]
-    """The last steps of proprioception, oldest first."""
-    observer: ObserverState
-    observed: Bool[Array, "w f"]
-    """Contact flags of the observer."""
+    """the last steps of proprioception, oldest first"""
     reset_height: Float[Array, " w"]
+    """of the object origin at the start [m]"""
     object_in_palm: Float[Array, "w 3"]
-    """Object origin in the palm frame, followed until lift onset and then kept [m]."""
-    outcome: Outcome
-    total_reward: Float[Array, " w"]
+    """object origin in the palm frame, followed until lift onset and then kept [m]"""
+    progress: Progress
     force_sum: Float[Array, " w"]
-    """Sum over the ticks since lift onset of the mean finger force [N]."""
+    """over the ticks since lift onset, of the mean finger force [N]"""
     force_peak: Float[Array, " w"]
-    """Largest force on one finger since lift onset [N]."""
-    broken: Bool[Array, " w"]
-    """Whether the state stopped being finite."""
+    """largest force on one finger since lift onset [N]"""
 
 
-class EnvState(NamedTuple):
-    """All that the environment carries from tick to tick."""
+class ClosingState(NamedTuple):
+    """All that the task carries from tick to tick."""
 
     physics: PhysicsState
     params: WorldParams
-    readings: Readings
+    measured: Measured
+    truth: Truth
+    closer: CloserState
     episode: Episode
 
 
-class Tick(NamedTuple):
-    """What a control tick yields besides the next state."""
-
-    obs: dict[str, Array]
-    """`state` [w, 66] and, if asked for, `privileged_state`."""
-    reward: Float[Array, " w"]
-    truncated: Bool[Array, " w"]
-    """The time was up: not the task's doing."""
-    broken: Bool[Array, " w"]
-    """The world was not finite and has to be reset."""
-
-
-class ClosingEnv:
-    """The closing task on one engine.
+class ClosingTask:
+    """Closing and lifting from handoffs, on one engine; a `Task`.
 
     Args:
         physics: The engine.
@@ -99,219 +73,186 @@ class ClosingEnv:
         config: The task.
         noise: What resets draw.
         with_privileged: Whether observations hold `privileged_state` for the critic.
+        extra_terms: Reward terms beside those of the publication.
     """
 
     def __init__(
         self,
         physics: Physics,
         starts: StartTable,
-        config: ClosingConfig | None = None,
+        config: ClosingTaskConfig | None = None,
         noise: StartNoise | None = None,
         with_privileged: bool = True,
+        extra_terms: tuple[RewardTerm, ...] = (),
     ):
         self.physics, self.starts = physics, starts
-        self.config, self.noise = config or ClosingConfig(), noise or StartNoise()
-        self.with_privileged = with_privileged
-        scene = physics.scene
-        self.joints = control.joint_map(scene)
-        self.num_fingers = len(scene.robot.hand.fingers)
-        _, self.action_size = policy_sizes(scene.robot)
-        self._weights = balanced_weights(starts.object_index, len(scene.objects))
+        self.config, self.noise = config or ClosingTaskConfig(), noise or StartNoise()
+        self.closer = Closer.of(physics.scene.robot, self.config)
+        self.terms = (*closing_terms(self.config.reward), *extra_terms)
+        self.reward_names = tuple(term.name for term in self.terms)
+        self.action_size = self.closer.action_size
+        self.control_dt = self.config.control_dt
+        self.episode_ticks = self.config.episode_ticks
+        self._with_privileged = with_privileged
+        self._weights = balanced_weights(starts.object_index, len(physics.scene.objects))
+        self._ctrl_order = np.argsort(physics.scene.addresses.robot_ctrl)
         self._turned = self.noise.angle_rad > 0
+        # Of every start once: a reset gathers its rows.
+        self._closers = self.closer.start(starts.measured, starts.targets)
 
     def draw(self, key: Array, worlds: int) -> StartDraw:
-        """Draws starts, every object of the table equally often."""
+        """See `Task.draw`."""
         return draw_starts(key, worlds, self.starts, self.noise, self._weights)
 
-    def start(self, draw: StartDraw) -> tuple[EnvState, dict[str, Array]]:
-        """A fresh state of all worlds and its observation."""
+    def start(self, draw: StartDraw) -> tuple[ClosingState, Observations]:
+        """See `Task.start`."""
         qpos, ctrl = self._start_arrays(draw)
-        physics = self.physics.init(qpos, ctrl)
-        state = EnvState(
-            physics,
-            draw_params(self.starts, draw),
-            self._start_readings(draw, qpos),
-            self._start_episode(draw, qpos),
-        )
+        state = ClosingState(self.physics.init(qpos, ctrl), *self._fresh(draw, qpos))
         return state, self._observe(state)
 
     def reset(
-        self, state: EnvState, mask: Bool[Array, " w"], draw: StartDraw
-    ) -> tuple[EnvState, dict[str, Array]]:
-        """Starts the masked worlds anew and leaves the others as they are."""
+        self, state: ClosingState, mask: Bool[Array, " w"], draw: StartDraw
+    ) -> tuple[ClosingState, Observations]:
+        """See `Task.reset`."""
         qpos, ctrl = self._start_arrays(draw)
-        fresh = (
-            draw_params(self.starts, draw),
-            self._start_readings(draw, qpos),
-            self._start_episode(draw, qpos),
-        )
 
         def select(new: Array, old: Array) -> Array:
             return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
-        state = EnvState(
-            self.physics.reset(state.physics, mask, qpos, ctrl),
-            *jax.tree.map(select, fresh, (state.params, state.readings, state.episode)),
+        physics = self.physics.reset(state.physics, mask, qpos, ctrl)
+        state = ClosingState(
+            physics, *jax.tree.map(select, self._fresh(draw, qpos), tuple(state[1:]))
         )
         return state, self._observe(state)
 
-    def tick(self, state: EnvState, action: Float[Array, "w k"]) -> tuple[EnvState, Tick]:
-        """One control tick without a reset.
-
-        Args:
-            state: The worlds.
-            action: Policy actions, clipped to ±1: finger residuals, then arm residuals.
-        """
+    def tick(
+        self, state: ClosingState, action: Float[Array, "w k"]
+    ) -> tuple[ClosingState, TaskTick]:
+        """See `Task.tick`; finger residuals, then arm residuals."""
         action = jnp.clip(action, -1.0, 1.0)
-        episode, ctrl = self._command(state, action)
-        physics, readings = self.physics.step(state.physics, state.params, ctrl)
-        guidance = self._guidance(episode, readings)
-        episode, reward = self._judge(episode, readings, guidance, state.episode, action)
-        state = EnvState(physics, state.params, readings, episode)
-        return state, Tick(
-            self._observe(state), reward, episode.tick >= episode.deadline, episode.broken
+        targets = self._targets(state.episode)
+        closer, target = self.closer.act(state.closer, state.measured, targets, action)
+        physics, measured, truth = self.physics.step(
+            state.physics, state.params, target[:, self._ctrl_order]
+        )
+        finite = jnp.isfinite(measured.q).all(-1) & jnp.isfinite(truth.object_pos).all(-1)
+
+        sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
+        episode, slip = self._followed(state.episode, closer, sensed, measured, truth, action)
+        moment = self._moment(closer, measured, truth, targets, slip, action, state.episode)
+        rewards = {
+            term.name: jnp.where(finite, term.weight * term.value(moment), 0.0)
+            for term in self.terms
+        }
+        state = ClosingState(physics, state.params, measured, truth, sensed, episode)
+        return state, TaskTick(self._observe(state), rewards, ~finite, truth.overflow)
+
+    def summary(self, state: ClosingState) -> EpisodeSummary:
+        """See `Task.summary`."""
+        episode, closer = state.episode, state.closer
+        return EpisodeSummary(
+            row=episode.row,
+            success=episode.progress.success,
+            **failure_classes(episode.progress),
+            lifting=closer.lifting,
+            force_mean=episode.force_sum / (closer.lift_tick + 1),  # the onset's own tick counts
+            force_peak=episode.force_peak,
+            peak_rise=episode.progress.peak_rise,
         )
 
-    def _command(
-        self, state: EnvState, action: Float[Array, "w k"]
-    ) -> tuple[Episode, Float[Array, "w nu"]]:
-        """Guided targets, grip force and scripted lift, plus the policy's residuals."""
-        config, joints, readings, episode = self.config, self.joints, state.readings, state.episode
-        worlds, fingers = action.shape[0], len(joints.fingers)
-        jacobian = control.pad_jacobians(readings, joints.per_finger)
-        rates = control.guided_rates(jacobian, self._guidance(episode, readings), config)
-        frozen = episode.landed | episode.lifting[:, None]
-        hold = control.hold_until_landed(
-            episode.hold, readings.q[:, joints.per_finger], rates, frozen, config
-        )
-        force = stages.grip_force(episode.grip_ticks, config, config.grip_force)
-        inward = -self.starts.normals[episode.row]
-        torque = control.grip_torques(jacobian, inward, force).reshape(worlds, fingers)
-        residual = control.update_residual(episode.residual, action[:, :fingers], config)
+    def snapshot(self, state: ClosingState) -> dict[str, Array]:
+        """See `Task.snapshot`."""
+        return {**self.physics.pack(state.physics), "row": state.episode.row}
 
-        time = episode.lift_tick * config.control_dt
-        speed = jnp.where(episode.lifting, stages.lift_speed(time, config), 0.0)
-        arm_rates = control.lift_rates(
-            control.palm_jacobian(readings, joints.arm_policy), speed, config
-        )
-        arm_rates = arm_rates + config.arm_action_rate * action[:, fingers:]
-        moved = episode.arm.at[:, joints.arm_policy].add(arm_rates * config.control_dt)
-        arm = jnp.clip(moved, *joints.limits[joints.arm].T)
+    def pack(self, state: ClosingState) -> dict[str, Any]:
+        """See `Task.pack`."""
+        return {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:])}
 
-        at = self.physics.scene.addresses
-        target = hold.reshape(worlds, fingers) + residual + torque / joints.stiffness
-        ctrl = self.starts.ctrl[episode.row]
-        ctrl = ctrl.at[:, at.robot_ctrl[joints.arm]].set(arm)
-        ctrl = ctrl.at[:, at.robot_ctrl[joints.fingers]].set(target)
-        return episode._replace(hold=hold, residual=residual, arm=arm), ctrl
+    def unpack(self, packed: dict[str, Any]) -> ClosingState:
+        """See `Task.unpack`."""
+        return ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
 
-    def _guidance(self, episode: Episode, readings: Readings) -> Float[Array, "w f 6"]:
-        return guidance_field(
-            readings.pad_pos,
-            readings.pad_mat,
-            self.starts.readings.pad_pos[episode.row],
-            self.starts.contacts[episode.row],
-            self.starts.goal_mat[episode.row],
-            self.config,
-        )
+    def _targets(self, episode: Episode) -> ThreePoints:
+        return jax.tree.map(lambda rows: rows[episode.row], self.starts.targets)
 
-    def _judge(
+    def _moment(
         self,
-        episode: Episode,
-        readings: Readings,
-        guidance: Float[Array, "w f 6"],
-        before: Episode,
+        closer: CloserState,
+        measured: Measured,
+        truth: Truth,
+        targets: ThreePoints,
+        slip: Float[Array, " w"],
         action: Float[Array, "w k"],
-    ) -> tuple[Episode, Float[Array, " w"]]:
-        """Contacts, reward, stage and outcome after the physics."""
-        config, joints = self.config, self.joints
-        q, qd = readings.q[:, joints.fingers], readings.qd[:, joints.fingers]
-        observer, observed = observe(
-            episode.observer,
-            readings.external_torque,
-            q,
-            qd,
-            joints.limits[joints.fingers],
-            joints.dry_friction,
-            self.physics.scene.config.physics_dt,
-            config,
-        )
-        touching = readings.tip_found | observed
-        lift_time = episode.lift_tick * config.control_dt
-        palm = control.palm_jacobian(readings, joints.arm)
-        palm_velocity = jnp.sum(palm[:, :3] * readings.qd[:, None, joints.arm], axis=-1)
-        reward = rewards.total(
-            episode.lifting,
-            control.pad_twists(readings, joints),
-            guidance,
-            readings.tip_found,
-            palm_velocity,
-            stages.lift_speed(lift_time, config),
-            (action, before.action, before.last_action),
-            config,
-        )
-
-        begins = ~episode.lifting & stages.lift_begins(touching, episode.tick + 1, config)
-        lifting = episode.lifting | begins
-        landed = episode.landed | touching
-        left = way_left(
-            readings.pad_pos,
-            self.starts.readings.pad_pos[episode.row],
-            self.starts.contacts[episode.row],
-        )
-        late = (episode.tick * config.control_dt >= config.approach_s) | lifting
-        arrived = (left < config.arrival_distance) | late[:, None]
-        there = landed | arrived
-        if config.grip_together:
-            there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
-        gripping = there | (episode.grip_ticks > 0)
-        in_palm = _in_palm(readings)
-        reference = jnp.where(episode.lifting[:, None], episode.object_in_palm, in_palm)
-        displacement = jnp.where(lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
-        rise = readings.object_pos[:, 2] - episode.reset_height
-        force = jnp.linalg.norm(readings.finger_force, axis=-1)
-        lifted_force = jnp.where(lifting[:, None], force, 0.0)
-        finite = jnp.isfinite(readings.q).all(-1) & jnp.isfinite(readings.object_pos).all(-1)
-        reward = jnp.where(finite, reward, 0.0)
-        return episode._replace(
-            tick=episode.tick + 1,
-            lifting=lifting,
-            lift_tick=jnp.where(episode.lifting, episode.lift_tick + 1, 0),
-            landed=landed,
-            grip_ticks=jnp.where(gripping, episode.grip_ticks + 1, 0),
+        before: Episode,
+    ) -> Moment:
+        at = self.closer.joints.at
+        palm = control.palm_jacobian(measured, at.arm)
+        return Moment(
+            measured=measured,
+            truth=truth,
+            lifting=closer.lifting,
+            guidance=self.closer.guidance(closer, measured, targets),
+            pad_twist=control.pad_twists(measured, at),
+            palm_velocity=jnp.sum(palm[:, :3] * measured.qd[:, None, at.arm], axis=-1),
+            lift_speed=self.closer.lift_speed(closer),
+            slip=slip,
             action=action,
             last_action=before.action,
-            stack=jnp.concatenate(
-                [episode.stack[:, 1:], proprioception(q, qd, action)[:, None]], axis=1
-            ),
-            observer=observer,
-            observed=observed,
-            object_in_palm=reference,
-            outcome=update_outcome(episode.outcome, rise, displacement, config),
-            total_reward=episode.total_reward + reward,
-            force_sum=episode.force_sum + jnp.mean(lifted_force, axis=-1),
-            force_peak=jnp.maximum(episode.force_peak, jnp.max(lifted_force, axis=-1)),
-            broken=~finite,
-        ), reward
+            before_last=before.last_action,
+        )
 
-    def _observe(self, state: EnvState) -> dict[str, Array]:
-        episode, readings, config = state.episode, state.readings, self.config
+    def _followed(
+        self,
+        before: Episode,
+        closer: CloserState,
+        sensed: CloserState,
+        measured: Measured,
+        truth: Truth,
+        action: Float[Array, "w k"],
+    ) -> tuple[Episode, Float[Array, " w"]]:
+        """What came of the tick, and how far the object has slipped in the palm [m]."""
+        at = self.closer.joints.at.fingers
+        in_palm = _in_palm(measured, truth)
+        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, in_palm)
+        slip = jnp.where(sensed.lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
+        rise = truth.object_pos[:, 2] - before.reset_height
+        force = jnp.linalg.norm(truth.finger_force, axis=-1)
+        lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
+        step = proprioception(measured.q[:, at], measured.qd[:, at], action)
+        episode = before._replace(
+            action=action,
+            last_action=before.action,
+            stack=jnp.concatenate([before.stack[:, 1:], step[:, None]], axis=1),
+            object_in_palm=reference,
+            progress=update_progress(
+                before.progress, rise, slip, self.config.success, self.config.control_dt
+            ),
+            force_sum=before.force_sum + jnp.mean(lifted_force, axis=-1),
+            force_peak=jnp.maximum(before.force_peak, jnp.max(lifted_force, axis=-1)),
+        )
+        return episode, slip
+
+    def _observe(self, state: ClosingState) -> Observations:
+        episode, closer = state.episode, state.closer
         proprio = episode.stack.reshape(episode.stack.shape[0], -1)
-        if not self.with_privileged:
+        if not self._with_privileged:
             return {"state": proprio}
-        in_palm = _in_palm(readings)
+        measured, truth, ticks = state.measured, state.truth, self.episode_ticks
         critic = privileged(
             proprio,
-            readings,
-            self.starts.contacts[episode.row],
-            self.starts.normals[episode.row],
-            landed=episode.landed,
-            lifting=episode.lifting.astype(jnp.float32),
-            time=episode.tick / config.episode_ticks,
-            lift_time=episode.lift_tick / config.episode_ticks,
-            rise=readings.object_pos[:, 2] - episode.reset_height,
-            displacement=jnp.linalg.norm(in_palm - episode.object_in_palm, axis=-1),
-            physics=jnp.stack([state.params.friction, state.params.mass_scale], axis=-1),
+            measured,
+            truth,
+            self._targets(episode),
+            closer.landed,
+            scalars=(
+                closer.lifting.astype(jnp.float32),
+                closer.tick / ticks,
+                closer.lift_tick / ticks,
+                (truth.object_pos[:, 2] - episode.reset_height) * 10.0,
+                jnp.linalg.norm(_in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
+                state.params.friction,
+                state.params.mass_scale,
+            ),
         )
         return {"state": proprio, "privileged_state": critic}
 
@@ -321,47 +262,35 @@ class ClosingEnv:
         qpos = self.starts.qpos[draw.row].at[:, at.object_qpos].set(pose)
         return qpos, self.starts.ctrl[draw.row]
 
-    def _start_readings(self, draw: StartDraw, qpos: Float[Array, "w nq"]) -> Readings:
-        at = self.physics.scene.addresses
-        rows = jax.tree.map(lambda x: x[draw.row], self.starts.readings)
-        return rows._replace(
+    def _fresh(
+        self, draw: StartDraw, qpos: Float[Array, "w nq"]
+    ) -> tuple[WorldParams, Measured, Truth, CloserState, Episode]:
+        """All but the physics of worlds that start."""
+        at, starts = self.physics.scene.addresses, self.starts
+        measured, truth, closer = jax.tree.map(
+            lambda rows: rows[draw.row], (starts.measured, starts.truth, self._closers)
+        )
+        truth = truth._replace(
             object_pos=qpos[:, at.object_qpos[:3]], object_quat=qpos[:, at.object_qpos[3:]]
         )
-
-    def _start_episode(self, draw: StartDraw, qpos: Float[Array, "w nq"]) -> Episode:
-        readings, joints = self._start_readings(draw, qpos), self.joints
-        w, f, m = len(draw.row), self.num_fingers, len(joints.fingers)
-        zeros, ints, no = jnp.zeros(w), jnp.zeros(w, jnp.int32), jnp.zeros(w, bool)
-        action = jnp.zeros((w, self.action_size))
-        q, qd = readings.q[:, joints.fingers], readings.qd[:, joints.fingers]
-        first = proprioception(q, qd, action)
-        return Episode(
+        fingers, w = self.closer.joints.at.fingers, len(draw.row)
+        action, zeros = jnp.zeros((w, self.action_size)), jnp.zeros(w)
+        first = proprioception(measured.q[:, fingers], measured.qd[:, fingers], action)
+        episode = Episode(
             row=draw.row,
-            tick=ints,
-            deadline=jnp.full(w, self.config.episode_ticks, jnp.int32),
-            lifting=no,
-            lift_tick=ints,
-            landed=jnp.zeros((w, f), bool),
-            grip_ticks=jnp.zeros((w, f), jnp.int32),
-            hold=readings.q[:, joints.per_finger],
-            residual=jnp.zeros((w, m)),
-            arm=readings.q[:, joints.arm],
             action=action,
             last_action=action,
             stack=jnp.repeat(first[:, None], STACKED_STEPS, axis=1),
-            observer=initial_observer((w,), m, f),
-            observed=jnp.zeros((w, f), bool),
-            reset_height=readings.object_pos[:, 2],
-            object_in_palm=_in_palm(readings),
-            outcome=initial_outcome((w,)),
-            total_reward=zeros,
+            reset_height=truth.object_pos[:, 2],
+            object_in_palm=_in_palm(measured, truth),
+            progress=initial_progress((w,)),
             force_sum=zeros,
             force_peak=zeros,
-            broken=no,
         )
+        return draw_params(starts, draw), measured, truth, closer, episode
 
 
-def _in_palm(readings: Readings) -> Float[Array, "w 3"]:
+def _in_palm(measured: Measured, truth: Truth) -> Float[Array, "w 3"]:
     """Object origin in the palm frame [m]."""
-    offset = readings.object_pos - readings.palm_pos
-    return jnp.sum(readings.palm_mat * offset[..., :, None], axis=-2)
+    offset = truth.object_pos - measured.palm_pos
+    return jnp.sum(measured.palm_mat * offset[..., :, None], axis=-2)

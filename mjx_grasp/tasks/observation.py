@@ -5,8 +5,10 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import RobotSpec
-from mjx_grasp.sim.physics import Readings
+from mjx_grasp.sim.physics import Truth
 
 STACKED_STEPS = 2
 
@@ -27,54 +29,54 @@ def proprioception(
 
 def privileged(
     proprio: Float[Array, "*b d"],
-    readings: Readings,
-    contacts: Float[Array, "*b f 3"],
-    normals: Float[Array, "*b f 3"],
+    measured: Measured,
+    truth: Truth,
+    targets: ThreePoints,
     landed: Bool[Array, "*b f"],
-    lifting: Float[Array, "*b"],
-    time: Float[Array, "*b"],
-    lift_time: Float[Array, "*b"],
-    rise: Float[Array, "*b"],
-    displacement: Float[Array, "*b"],
-    physics: Float[Array, "*b p"],
+    scalars: tuple[Float[Array, "*b"], ...],
 ) -> Float[Array, "*b e"]:
     """The critic's observation in the default preset: the same, and what a simulator knows.
 
-    Object pose and velocity, targets and pads relative to the palm, contact flags and forces,
-    stage and time, friction and mass. The policy never sees it.
+    Object pose and velocity, targets and pads relative to the palm, contact flags and forces. The
+    policy never sees it.
+
+    Args:
+        proprio: The policy's observation.
+        measured: The robot.
+        truth: The rest of the world.
+        targets: The contacts.
+        landed: Which fingers have ever touched.
+        scalars: Further numbers, already of the size of 1: stage, times, friction and so on.
     """
     batch = proprio.shape[:-1]
-    to_palm = jnp.swapaxes(readings.palm_mat, -1, -2)
+    to_palm = jnp.swapaxes(measured.palm_mat, -1, -2)
 
-    def in_palm(v: Array) -> Array:
-        """Rotates world vectors [*b, n, 3] into the palm frame."""
+    def in_palm(v: Float[Array, "*b n 3"]) -> Float[Array, "*b n 3"]:
+        """World vectors in the palm frame."""
         return jnp.sum(to_palm[..., None, :, :] * v[..., None, :], axis=-1)
 
-    palm = readings.palm_pos[..., None, :]
-    here = readings.object_pos[..., None, :]
+    palm = measured.palm_pos[..., None, :]
+    here = truth.object_pos[..., None, :]
     vectors = jnp.concatenate(
         [
             (here - palm) * 10.0,
-            (contacts - readings.pad_pos) * 20.0,
-            (readings.pad_pos - here) * 10.0,
-            normals,
-            readings.object_vel[..., None, :3],
-            readings.tip_force * 0.2,
+            (targets.position - measured.pad_pos) * 20.0,
+            (measured.pad_pos - here) * 10.0,
+            targets.normal,
+            truth.object_vel[..., None, :3],
+            truth.tip_force * 0.2,
         ],
         axis=-2,
     )
-    flat = in_palm(vectors).reshape(*batch, -1)
-    scalars = jnp.stack([lifting, time, lift_time, rise * 10.0, displacement * 20.0], axis=-1)
     return jnp.concatenate(
         [
             proprio,
-            flat,
-            readings.object_quat,
-            readings.object_vel[..., 3:] * 0.2,
-            readings.tip_found.astype(jnp.float32),
+            in_palm(vectors).reshape(*batch, -1),
+            truth.object_quat,
+            truth.object_vel[..., 3:] * 0.2,
+            truth.tip_found.astype(jnp.float32),
             landed.astype(jnp.float32),
-            scalars,
-            physics,
+            jnp.stack(scalars, axis=-1),
         ],
         axis=-1,
     )

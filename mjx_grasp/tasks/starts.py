@@ -10,33 +10,32 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.closing.config import StartNoise
-from mjx_grasp.closing.guidance import goal_frame
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
+from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.mjcf import joint_columns
-from mjx_grasp.sim.physics import Readings, WorldParams, make_params
+from mjx_grasp.sim.physics import Truth, WorldParams, make_params
 from mjx_grasp.sim.scene import Scene
+from mjx_grasp.tasks.config import StartNoise
 
 
 class StartTable(NamedTuple):
     """One row per handoff state."""
 
     object_index: Int[Array, " n"]
-    """Index into the scene's objects."""
+    """into the scene's objects"""
     qpos: Float[Array, "n nq"]
     ctrl: Float[Array, "n nu"]
-    readings: Readings
-    """What the engine would report at the start, without object offset."""
-    contacts: Float[Array, "n f 3"]
-    """Targets of the pads on the object's surface [m]."""
-    normals: Float[Array, "n f 3"]
-    """Outward unit normals there."""
-    goal_mat: Float[Array, "n f 3 3"]
-    """R*, the pad frames at the contacts."""
+    measured: Measured
+    """what the robot would measure at the start"""
+    truth: Truth
+    """what the engine would report, without object offset"""
+    targets: ThreePoints
+    """contacts on the object's surface"""
     hull: Float[Array, "k v 3"]
-    """Convex hull vertices of each object, object frame [m], padded by repetition."""
+    """convex hull vertices of each object, object frame, padded by repetition [m]"""
 
 
 class StartDraw(NamedTuple):
@@ -58,7 +57,7 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
     Args:
         scene: The scene; it has to hold every object of the set.
         handoffs: The states.
-        substeps: Physics steps per control tick, the width of `Readings.external_torque`.
+        substeps: Physics steps per control tick, the width of `Measured.external_torque`.
 
     Raises:
         InputError: The set is empty, or an object of it is not in the scene, or has another
@@ -86,16 +85,17 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
     qpos[:, at.object_qpos[3:]] = handoffs.object_quat
     ctrl = np.zeros((n, model.nu))
     ctrl[:, at.robot_ctrl] = q
-    readings = _start_readings(scene, qpos, substeps)
-    normals = jnp.asarray(handoffs.target_normal, jnp.float32)
+    measured, truth = _at_rest(scene, qpos, substeps)
     return StartTable(
         object_index=jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32),
         qpos=jnp.asarray(qpos, jnp.float32),
         ctrl=jnp.asarray(ctrl, jnp.float32),
-        readings=readings,
-        contacts=jnp.asarray(handoffs.target_pos, jnp.float32),
-        normals=normals,
-        goal_mat=goal_frame(readings.pad_mat, normals),
+        measured=measured,
+        truth=truth,
+        targets=ThreePoints(
+            jnp.asarray(handoffs.target_pos, jnp.float32),
+            jnp.asarray(handoffs.target_normal, jnp.float32),
+        ),
         hull=jnp.asarray(_hulls(scene)),
     )
 
@@ -150,7 +150,7 @@ def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Ar
     Returns:
         Position [m] and quaternion, world frame.
     """
-    pos, quat = starts.readings.object_pos[draw.row], starts.readings.object_quat[draw.row]
+    pos, quat = starts.truth.object_pos[draw.row], starts.truth.object_quat[draw.row]
     pos = pos.at[:, :2].add(draw.offset)
     if turned:
         hull = starts.hull[starts.object_index[draw.row]]
@@ -183,7 +183,10 @@ def _robot_joints(scene: Scene, handoffs: HandoffSet) -> np.ndarray:
     return handoffs.q[:, columns]
 
 
-def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:
+def _at_rest(
+    scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int
+) -> tuple[Measured, Truth]:
+    """What would be measured and true if the robot held still at each row."""
     model, at = scene.model, scene.addresses
     data = mujoco.MjData(model)
     n, f, joints = len(qpos), len(at.pad_sites), model.dof_jntid[at.robot_dof]
@@ -200,20 +203,23 @@ def _start_readings(scene: Scene, qpos: np.ndarray, substeps: int) -> Readings:
         rows["pad_mat"].append(data.site_xmat[at.pad_sites].reshape(f, 3, 3))
         rows["joint_axis"].append(data.xaxis[joints])
         rows["joint_anchor"].append(data.xanchor[joints])
-    return Readings(
+    measured = Measured(
         q=jnp.asarray(qpos[:, at.robot_qpos], jnp.float32),
         qd=jnp.zeros((n, len(at.robot_dof)), jnp.float32),
+        external_torque=jnp.zeros((n, substeps, policy_joints), jnp.float32),
+        **{k: jnp.asarray(np.asarray(v, np.float32)) for k, v in rows.items()},
+    )
+    truth = Truth(
         object_pos=jnp.asarray(qpos[:, at.object_qpos[:3]], jnp.float32),
         object_quat=jnp.asarray(qpos[:, at.object_qpos[3:]], jnp.float32),
         object_vel=jnp.zeros((n, 6), jnp.float32),
         tip_found=jnp.zeros((n, f), bool),
         tip_force=jnp.zeros((n, f, 3), jnp.float32),
         finger_force=jnp.zeros((n, f, 3), jnp.float32),
-        external_torque=jnp.zeros((n, substeps, policy_joints), jnp.float32),
         constraints=jnp.zeros(n, jnp.int32),
         overflow=jnp.zeros(n, bool),
-        **{k: jnp.asarray(np.asarray(v, np.float32)) for k, v in rows.items()},
     )
+    return measured, truth
 
 
 def _hulls(scene: Scene) -> np.ndarray:

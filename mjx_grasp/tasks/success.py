@@ -7,10 +7,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.tasks.config import SuccessConfig
 
 
-class Outcome(NamedTuple):
+class Progress(NamedTuple):
     """What has happened so far in an episode; the classes follow from it."""
 
     held_ticks: Int[Array, "*b"]
@@ -24,51 +24,53 @@ class Outcome(NamedTuple):
     """Largest rise [m]."""
 
 
-def initial_outcome(batch: tuple[int, ...]) -> Outcome:
+def initial_progress(batch: tuple[int, ...]) -> Progress:
     """Nothing has happened."""
     no = jnp.zeros(batch, bool)
-    return Outcome(jnp.zeros(batch, jnp.int32), no, no, no, jnp.zeros(batch))
+    return Progress(jnp.zeros(batch, jnp.int32), no, no, no, jnp.zeros(batch))
 
 
-def update_outcome(
-    outcome: Outcome,
+def update_progress(
+    progress: Progress,
     rise: Float[Array, "*b"],
     displacement: Float[Array, "*b"],
-    config: ClosingConfig,
-) -> Outcome:
+    config: SuccessConfig,
+    control_dt: float,
+) -> Progress:
     """One control tick.
 
     Success: rise ≥ 0.10 m for 0.5 s without a break, palm-frame displacement since lift onset
     below 0.03 m all that time.
 
     Args:
-        outcome: So far.
+        progress: So far.
         rise: Object origin above its reset height [m].
         displacement: Of the object origin in the palm frame since lift onset [m].
         config: Thresholds.
+        control_dt: Control period [s].
     """
-    high = rise >= config.success_height
-    moved = displacement >= config.success_slip
-    held = jnp.where(high & ~moved, outcome.held_ticks + 1, 0)
-    needed = round(config.success_hold_s / config.control_dt)
-    lifted = outcome.lifted | high
-    return Outcome(
+    high = rise >= config.height
+    moved = displacement >= config.slip
+    held = jnp.where(high & ~moved, progress.held_ticks + 1, 0)
+    needed = round(config.hold_s / control_dt)
+    lifted = progress.lifted | high
+    return Progress(
         held_ticks=held,
-        success=outcome.success | (held >= needed),
+        success=progress.success | (held >= needed),
         lifted=lifted,
-        slipped=outcome.slipped | (lifted & moved),
-        peak_rise=jnp.maximum(outcome.peak_rise, rise),
+        slipped=progress.slipped | (lifted & moved),
+        peak_rise=jnp.maximum(progress.peak_rise, rise),
     )
 
 
 FAILURES = ("never_lifted", "slipped", "not_held")
 
 
-def failure_classes(outcome: Outcome) -> dict[str, Bool[Array, "*b"]]:
+def failure_classes(progress: Progress) -> dict[str, Bool[Array, "*b"]]:
     """The failure class of each episode; exactly one is true where there is no success."""
-    failed = ~outcome.success
+    failed = ~progress.success
     return {
-        "never_lifted": failed & ~outcome.lifted,
-        "slipped": failed & outcome.lifted & outcome.slipped,
-        "not_held": failed & outcome.lifted & ~outcome.slipped,
+        "never_lifted": failed & ~progress.lifted,
+        "slipped": failed & progress.lifted & progress.slipped,
+        "not_held": failed & progress.lifted & ~progress.slipped,
     }

@@ -1,4 +1,4 @@
-"""What follows a training: evaluation against its baselines, a video of a grasp, a report."""
+"""What follows a training: evaluation against its baselines, and the recording of a grasp."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import evaluate, policy_task
-from mjx_grasp.evaluation.tables import success_table
+from mjx_grasp.evaluation.tables import success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
@@ -22,17 +21,16 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.tasks.assemble import World, build_world
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training.config import TrainConfig
-from mjx_grasp.viz.report import untrained_note, write_report
-from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
 SQUEEZE_FORCES_N = (3.0, 5.0)
 
 
-def evaluate_and_report(
+def evaluate_run(
     folder: Path, config: TrainConfig, world: World, states: HandoffSet, console: Console
 ) -> None:
-    """Evaluates in native MuJoCo on states that the training did not see, and writes report.html.
+    """Evaluates in native MuJoCo on states that the training did not see: results.json, grasp.npz.
 
     Args:
         folder: The run.
@@ -43,12 +41,12 @@ def evaluate_and_report(
     """
     policy = load_policy(folder / "policy.npz")
     every_joint = replace(config.scene, fix_idle_fingers=False)
-    scene = build_scene(world.scene.objects, load_robot(), every_joint)
-    held_out = build_world(scene, states, ClosingConfig())
+    scene = build_scene(world.scene.objects, load_robot(config.robot), every_joint)
     task, base = policy_task(policy), condition(config, folder / "results.json")
+    held_out = build_world(scene, states, task.control_dt)
     rows: list[ResultRow] = []
     runs: list[Trials] = []
-    squeezes = baselines(base, task.grip_force)
+    squeezes = baselines(base, task.grip.force)
     for chosen, controller in ((base, policy), *((squeeze, None) for squeeze in squeezes)):
         new, trials = evaluate(
             held_out, states.object_names, chosen, controller, states.kind, console, task
@@ -57,25 +55,12 @@ def evaluate_and_report(
         runs += trials.values()
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
-    write_results(base.out, rows, made, label=label, untrained_n=task.grip_force, **counted)
+    write_results(base.out, rows, made, label=label, untrained_n=task.grip.force, **counted)
     console.print(success_table(rows, scans=config.objects_dir is not None))
-    console.print(untrained_note(task.grip_force))
+    console.print(untrained_note(task.grip.force))
 
-    video, problem = folder / "grasp.mp4", None
     shown = best_grasp(held_out, states.object_names[0], policy, config.noise, base.seed)
     save_trajectory(folder / "grasp.npz", shown)
-    try:
-        render_in_subprocess(VideoConfig(folder / "grasp.npz", out=video))
-    except RenderError as error:
-        problem = str(error)
-    write_report(
-        run_dir=folder,
-        results_paths=[base.out],
-        video_path=None if problem else video,
-        video_problem=problem,
-        out_html=folder / "report.html",
-    )
-    console.print(f"report: {folder / 'report.html'}")
 
 
 def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
@@ -118,8 +103,8 @@ def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed:
         seed: Of the starts.
     """
     task = policy_task(policy)
-    env = world.env("mujoco", 8, task, noise, with_privileged=False)
+    run = world.task("mujoco", 8, task, noise, with_privileged=False)
     draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
-    trials, qpos = record_trials(env, lambda obs: policy(obs["state"]), draw)
+    trials, qpos = record_trials(run, lambda obs: policy(obs["state"]), draw)
     best = int(np.argmax(trials.success))
     return record_world(world.scene, name, qpos[:, best], task.control_dt)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.config import ActionConfig, GripConfig, LiftConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
+from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, has_gpu
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
+from mjx_grasp.tasks.config import StartNoise, task_from_record
 
 Preset = Literal["auto", "cpu", "gpu", "paper"]
 
@@ -30,6 +31,8 @@ class TrainConfig:
     """Objects of the catalogue, or groups (eight, train, held_out, all), to train on."""
     objects_dir: Path | None = None
     """Folder of real scans; parametric stand-ins without one."""
+    robot: str = "rizon4_hx5d20"
+    """Name or description file of the robot."""
     handoffs: Path | None = None
     """Handoff set; made for the objects first if none is given."""
     handoffs_per_object: int = 64
@@ -48,7 +51,7 @@ class TrainConfig:
     evaluation_episodes: int = 64
     """Episodes per object after training, for policy, untrained policy and squeeze; 0 for none."""
     scene: SceneConfig = field(default_factory=SceneConfig)
-    task: ClosingConfig = field(default_factory=ClosingConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
     noise: StartNoise = field(default_factory=StartNoise)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
@@ -88,50 +91,25 @@ def preset_config(preset: Preset) -> TrainConfig:
         return TrainConfig(
             preset="paper",
             engine="mjx" if has_gpu() else "mujoco",
-            task=ClosingConfig(residual="integrated", lift_delay_s=0.0, grip_together=False),
+            task=TaskConfig(
+                action=ActionConfig(residual="integrated"),
+                lift=LiftConfig(delay_s=0.0),
+                grip=GripConfig(together=False),
+            ),
             ppo=PPOConfig(worlds=1024, unroll=64, iterations=470, privileged_critic=False),
         )
     raise InputError("--preset", preset, "auto, cpu, gpu or paper")
 
 
-def to_json(config: Any) -> Any:
-    """A configuration as plain JSON values."""
-    if dataclasses.is_dataclass(config):
-        return {f.name: to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
-    if isinstance(config, Path):
-        return str(config)
-    if isinstance(config, tuple):
-        return [to_json(x) for x in config]
-    return config
-
-
-def from_json(stored: dict[str, Any]) -> TrainConfig:
-    """The configuration that `to_json` wrote.
+def from_stored(record: Any) -> TrainConfig:
+    """The settings of a run of today or before.
 
     Raises:
         InputError: A field is unknown or its value is not allowed.
     """
-    nested = {
-        "scene": SceneConfig,
-        "task": ClosingConfig,
-        "noise": StartNoise,
-        "ppo": PPOConfig,
-        "loop": LoopConfig,
-    }
-
-    def build(kind: type, values: dict[str, Any]) -> Any:
-        known = {f.name for f in dataclasses.fields(kind)}
-        unknown = sorted(set(values) - known)
-        if unknown:
-            raise InputError(f"{kind.__name__} fields", unknown, f"fields of {sorted(known)}")
-        return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
-
-    paths = ("objects_dir", "handoffs", "out", "resume")
-    values = {
-        k: build(nested[k], v) if k in nested else Path(v) if k in paths and v else v
-        for k, v in stored.items()
-    }
-    return build(TrainConfig, values)
+    if isinstance(record, dict) and "task" in record:
+        record = record | {"task": to_record(task_from_record(record["task"]))}
+    return from_record(TrainConfig, record, "config")
 
 
 def stored_config(folder: Path) -> TrainConfig:
@@ -148,6 +126,6 @@ def stored_config(folder: Path) -> TrainConfig:
     except (OSError, ValueError) as error:
         raise FileError(path, f"no readable configuration ({error})", "a run's folder") from None
     try:
-        return replace(from_json(stored), resume=folder)
+        return replace(from_stored(stored), resume=folder)
     except (InputError, TypeError, AttributeError) as error:
         raise FileError(path, str(error), "the settings of a run") from None

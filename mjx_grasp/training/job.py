@@ -15,7 +15,7 @@ from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import eligible, states_of
-from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.log import require_wandb
@@ -26,17 +26,25 @@ from mjx_grasp.learning.run import train_loop
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.records.settings import to_record
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
-from mjx_grasp.training.after import evaluate_and_report
-from mjx_grasp.training.config import TrainConfig, to_json
+from mjx_grasp.tasks.rewards import RewardTerm
+from mjx_grasp.training.after import evaluate_run
+from mjx_grasp.training.config import TrainConfig
 
 _OPENING = ("config.json", "provenance.json")
 """Files that are written when a run is opened."""
 
 
-def train(config: TrainConfig, console: Console) -> Path:
+def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, ...] = ()) -> Path:
     """Runs a training to its end and returns the run's folder.
+
+    Args:
+        config: The settings.
+        console: For progress and tables.
+        extra_terms: Reward terms beside the task's own.
 
     Raises:
         InputError, FileError: A setting or file that cannot work; no folder is made then.
@@ -48,7 +56,8 @@ def train(config: TrainConfig, console: Console) -> Path:
     _check_same_handoffs(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
-    scene = build_scene_of(config.objects, config.objects_dir, config.scene)
+    robot = load_robot(config.robot)
+    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
     folder = _open_run(config)
@@ -61,7 +70,7 @@ def train(config: TrainConfig, console: Console) -> Path:
                     _discard_run(folder)
                 raise
             world = _build(scene, stored, config, console)
-        _run(folder, resumed, config, world, stored, console)
+        _run(folder, resumed, config, world, stored, console, extra_terms)
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
         again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
@@ -76,15 +85,15 @@ def _run(
     world: World,
     handoffs: HandoffSet,
     console: Console,
+    extra_terms: tuple[RewardTerm, ...],
 ) -> None:
     """Trains in an opened run, keeps the policy and evaluates it."""
     ppo = config.ppo
     names, _ = eligible(world.scene.object_names, handoffs)
-    env = BraxClosingEnv(
-        world.env(config.engine, ppo.worlds, config.task, config.noise, ppo.privileged_critic),
-        ppo.worlds,
-        ppo.stagger,
+    task = world.task(
+        config.engine, ppo.worlds, config.task, config.noise, ppo.privileged_critic, extra_terms
     )
+    env = BraxTask(task, ppo.worlds, ppo.stagger)
     console.print(
         f"preset {config.preset}: {len(names)} object(s), {ppo.worlds} worlds in {config.engine}, "
         f"{ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
@@ -93,11 +102,11 @@ def _run(
     if resumed is not None:
         state = restore_checkpoint(resumed, state, env)
         console.print(f"resumed from {resumed.name}")
-    state = train_loop(folder, state, env, ppo, config.loop, to_json(config))
+    state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
     _save_policy(folder, state, config, names, ppo)
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
-        evaluate_and_report(folder, config, world, held_out, console)
+        evaluate_run(folder, config, world, held_out, console)
 
 
 def _check_same_handoffs(config: TrainConfig) -> None:
@@ -138,7 +147,7 @@ def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Con
     names, without = _trainable(scene.object_names, handoffs)
     if without:
         console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
-    return build_world(scene, states_of(handoffs, names, "training"), config.task)
+    return build_world(scene, states_of(handoffs, names, "training"), config.task.control_dt)
 
 
 def _open_run(config: TrainConfig) -> Path:
@@ -152,7 +161,7 @@ def _open_run(config: TrainConfig) -> Path:
         )
     check_writable("--out", folder / "config.json")
     made_of = {"sha256": file_digests(handoffs=config.handoffs)}
-    contents = (to_json(config), provenance(config.seed) | made_of)
+    contents = (to_record(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         with replacing(folder / name) as temporary:
             temporary.write_text(json.dumps(content, indent=2))
@@ -178,6 +187,7 @@ def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> Hando
             HandoffConfig(
                 objects=config.objects,
                 objects_dir=config.objects_dir,
+                robot=config.robot,
                 per_object=config.handoffs_per_object,
                 seed=config.seed,
                 out=path,
@@ -197,7 +207,7 @@ def _save_policy(
     folder: Path, state: TrainState, config: TrainConfig, names: list[str], ppo: PPOConfig
 ) -> None:
     meta = {
-        "task": to_json(config.task),
+        "task": to_record(config.task),
         "objects": names,
         "env_steps": int(state.iteration) * ppo.steps_per_iteration,
         "provenance": json.loads((folder / "provenance.json").read_text()),

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
@@ -17,9 +19,11 @@ from mjx_grasp.evaluation.tables import (
     force_table,
     paired_table,
     read_groups,
+    untrained_note,
 )
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
 
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2630;background:#f4f6f8;margin:0}
@@ -85,6 +89,24 @@ def write_report(
         temporary.write_text(page, encoding="utf-8")
 
 
+def report_run(folder: Path, console: Console) -> Path:
+    """Renders the recorded grasp of a run that has been evaluated, and writes its `report.html`.
+
+    Args:
+        folder: The run, with `grasp.npz` and `results.json`.
+        console: Where the report is named.
+    """
+    video, problem = folder / "grasp.mp4", None
+    try:
+        render_in_subprocess(VideoConfig(folder / "grasp.npz", out=video))
+    except RenderError as error:
+        problem = str(error)
+    out = folder / "report.html"
+    write_report(folder, [folder / "results.json"], None if problem else video, problem, out)
+    console.print(f"report: {out}")
+    return out
+
+
 def _section(title: str, body: str) -> str:
     return f"<section><h2>{title}</h2>{body}</section>"
 
@@ -125,15 +147,6 @@ def _results(paths: Sequence[str | Path]) -> str:
     extras = [read_results(path).extra for path in paths]
     untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
     return "".join([*parts, *(_note(untrained_note(force)) for force in untrained)])
-
-
-def untrained_note(force: float) -> str:
-    """What a squeeze with the policy's own command is.
-
-    Args:
-        force: Of the command, per finger [N].
-    """
-    return f"squeeze {force:g} N is the policy before its training: the command that it adds to."
 
 
 def _curves(path: Path) -> str:

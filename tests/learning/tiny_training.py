@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.ppo import init_state
 from mjx_grasp.learning.run import LoopConfig, train_loop
 from mjx_grasp.sim.native import NativePhysics
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 from mjx_grasp.tasks.starts import build_starts
 
 CONFIG = {"made": "by hand"}
@@ -37,9 +37,11 @@ def make_env(worlds=4, stagger=True):
     """One box, native engine, episodes of ten ticks, so that resets happen in every rollout."""
     scene, handoffs = handmade.box_handoffs_scene()
     physics = NativePhysics(scene, threads=1)
-    task = ClosingConfig(episode_s=0.1)
-    env = ClosingEnv(physics, build_starts(scene, handoffs, physics.substeps), task, StartNoise())
-    return BraxClosingEnv(env, worlds, stagger)
+    config, starts = (
+        ClosingTaskConfig(episode_s=0.1),
+        build_starts(scene, handoffs, physics.substeps),
+    )
+    return BraxTask(ClosingTask(physics, starts, config, StartNoise()), worlds, stagger)
 
 
 def parameters(state):
@@ -48,11 +50,11 @@ def parameters(state):
     return np.concatenate([np.asarray(x, np.float64).ravel() for x in leaves])
 
 
-class Slow(BraxClosingEnv):
+class Slow(BraxTask):
     """Takes its time, so that a test can kill the training between two iterations."""
 
     def __init__(self, inner, seconds):
-        super().__init__(inner.env, inner.worlds, inner._stagger)
+        super().__init__(inner.task, inner.worlds, inner._stagger)
         self._seconds = seconds
 
     def step(self, state, action):

@@ -42,7 +42,7 @@ def observe(
 
     Args:
         state: The observer.
-        residual: τ_ext at equally spaced times of the last control period (`Measured.external_torque`) [N m].
+        residual: τ_ext, `Measured.external_torque` [N m].
         q: Policy joint positions [rad].
         qd: Policy joint velocities [rad/s].
         limits: Their ranges [rad].

@@ -89,10 +89,7 @@ def evaluate(
         task: Whose commands a squeeze gives, with its own force; by default the closing task's.
             A policy is always in the task it was trained in.
     """
-    if policy:
-        task = policy_task(policy)
-    else:
-        task = pressing(task or TaskConfig(), config.squeeze_force)
+    task = policy_task(policy) if policy else pressing(task or TaskConfig(), config.squeeze_force)
     worlds = min(config.worlds, config.episodes)
     run = world.task(config.engine, worlds, task, config.noise, with_privileged=False)
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(run)

@@ -22,8 +22,8 @@ class Measured(NamedTuple):
     qd: Float[Array, "*w n"]
     """joint velocities [rad/s]"""
     external_torque: Float[Array, "*w s m"]
-    """torque on the policy's finger joints that the robot's own model does not explain, at s equally
-    spaced times of the last control period [N m]"""
+    """torque on the policy's finger joints that the robot's own model does not explain, at s
+    equally spaced times of the last control period [N m]"""
     palm_pos: Float[Array, "*w 3"]
     """palm site [m]"""
     palm_mat: Float[Array, "*w 3 3"]

@@ -35,7 +35,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import select
+from mjx_grasp.grasp import select, standoffs
 from mjx_grasp.posture.body import FINGERS, reach_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
@@ -121,7 +121,7 @@ def standoff_goals(
     plan = jax.tree.map(lambda leaf: jnp.asarray(leaf[k]), plans)
     state = reacher.start(home, candidates, p_wo, R_wo, plan).selection
     targets, _ = select(candidates, state, hand, p_wo, R_wo, reacher.selection)
-    return np.asarray(reacher.standoffs(targets))
+    return np.asarray(standoffs(targets.position, targets.normal, reacher.selection.targets))
 
 
 def mink_row(

@@ -1,15 +1,9 @@
 """Online three-point selection: which candidate, and its three targets (method §2)."""
 
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates, from_heatmap
-from mjx_grasp.grasp.config import SelectionConfig
-from mjx_grasp.grasp.select import (
-    NONE,
-    Hand,
-    SelectionState,
-    Targets,
-    select,
-    start_selection,
-)
+from mjx_grasp.grasp.config import SelectionConfig, TargetConfig
+from mjx_grasp.grasp.select import Hand, SelectionState, select, start_selection
+from mjx_grasp.grasp.targets import NONE, Targets, admissible, standoffs, target_options
 
 __all__ = [
     "NONE",
@@ -17,9 +11,13 @@ __all__ = [
     "Hand",
     "SelectionConfig",
     "SelectionState",
+    "TargetConfig",
     "Targets",
+    "admissible",
     "cylinder_candidates",
     "from_heatmap",
     "select",
+    "standoffs",
     "start_selection",
+    "target_options",
 ]

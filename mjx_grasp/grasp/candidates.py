@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.errors import InputError
@@ -16,27 +16,24 @@ from mjx_grasp.heatmap.steering import Heatmap
 
 
 class Candidates(NamedTuple):
-    """Candidates of one object, in the object frame; objects are stacked in front.
-
-    Attributes:
-        thumb: ``[c, 3]`` thumb contacts p_t, [m].
-        normal: ``[c, 3]`` outward unit normals n_t there.
-        wrap: ``[c, 2, 3]`` wrap contacts c_1, c_2, [m].
-        wrap_normal: ``[c, 3]`` unit(n_1 + n_2).
-        axis: ``[c, 3]`` unit grasp axes g.
-        width: ``[c]`` w, [m].
-        score: ``[c]`` the steered score S.
-        valid: ``[c]`` whether there is a candidate at all.
-    """
+    """Candidates of one object, in the object frame; objects are stacked in front."""
 
     thumb: Float[Array, "c 3"]
+    """thumb contacts p_t [m]"""
     normal: Float[Array, "c 3"]
+    """outward unit normals n_t there"""
     wrap: Float[Array, "c 2 3"]
+    """wrap contacts c_1, c_2 [m]"""
     wrap_normal: Float[Array, "c 3"]
+    """unit(n_1 + n_2)"""
     axis: Float[Array, "c 3"]
+    """unit grasp axes g"""
     width: Float[Array, " c"]
+    """w [m]"""
     score: Float[Array, " c"]
+    """the steered score S; 0 where there is no candidate [-]"""
     valid: Bool[Array, " c"]
+    """whether there is a candidate at all"""
 
     @property
     def centre(self) -> Float[Array, "c 3"]:
@@ -44,13 +41,34 @@ class Candidates(NamedTuple):
         return 0.5 * (self.wrap[..., 0, :] + self.wrap[..., 1, :])
 
 
+def vertex_candidates(heatmap: Heatmap, score: Float[Array, " v"] | None = None) -> Candidates:
+    """All candidates of a heatmap, in the order of its vertices.
+
+    Args:
+        heatmap: Of the object.
+        score: Steered scores; the heatmap's own if None.
+    """
+    heatmap = jax.tree.map(jnp.asarray, heatmap)
+    scores = heatmap.score if score is None else jnp.asarray(score)
+    return Candidates(
+        thumb=heatmap.thumb,
+        normal=heatmap.normals,
+        wrap=heatmap.wrap,
+        wrap_normal=unit(heatmap.wrap_normals[:, 0] + heatmap.wrap_normals[:, 1]),
+        axis=heatmap.axis,
+        width=heatmap.width,
+        score=jnp.where(heatmap.valid, scores, 0.0),
+        valid=heatmap.valid,
+    )
+
+
 def from_heatmap(
     heatmap: Heatmap, score: Float[Array, " v"] | None = None, count: int | None = None
 ) -> Candidates:
-    """The candidates of a heatmap, all or the best ``count`` of them by score.
+    """The candidates of a heatmap, all or the best ``count`` of them by score; jittable.
 
-    With fewer than ``count`` vertices the rest is filled with invalid ones, so that objects can
-    be stacked.
+    Those that tie stay in the order of their vertices. With fewer than ``count`` vertices the rest
+    is filled with invalid ones, so that objects can be stacked.
 
     Args:
         heatmap: Of the object.
@@ -60,29 +78,18 @@ def from_heatmap(
     Raises:
         InputError: A count below one.
     """
-    scores = np.asarray(heatmap.score if score is None else score)
-    scores = np.where(np.asarray(heatmap.valid), scores, 0.0)
     if count is not None and count < 1:
         raise InputError("count", count, "a whole number from 1")
-    order = np.argsort(-scores, kind="stable")[:count]
-    missing = 0 if count is None else count - len(order)
+    everything = vertex_candidates(heatmap, score)
+    available = everything.score.shape[0]
+    count = available if count is None else count
+    _, order = jax.lax.top_k(everything.score, min(count, available))
 
-    def taken(leaf, fill=0):
-        rows = np.asarray(leaf)[order]
-        filler = np.full((missing, *rows.shape[1:]), fill, rows.dtype)
-        return jnp.asarray(np.concatenate([rows, filler]))
+    def taken(leaf: Array) -> Array:
+        filler = [(0, max(count - available, 0))] + [(0, 0)] * (leaf.ndim - 1)
+        return jnp.pad(leaf[order], filler)
 
-    normals = np.asarray(heatmap.wrap_normals)
-    return Candidates(
-        thumb=taken(heatmap.thumb),
-        normal=taken(heatmap.normals),
-        wrap=taken(heatmap.wrap),
-        wrap_normal=taken(unit(jnp.asarray(normals[:, 0] + normals[:, 1]))),
-        axis=taken(heatmap.axis),
-        width=taken(heatmap.width),
-        score=taken(scores.astype(np.float32)),
-        valid=taken(heatmap.valid, False),
-    )
+    return jax.tree.map(taken, everything)
 
 
 def cylinder_candidates(

@@ -9,14 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry.vectors import angle_between, dot, norm, unit
+from mjx_grasp.geometry.vectors import angle_between, dot, norm
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
-
-NONE = -1
-"""Index of no candidate."""
+from mjx_grasp.grasp.targets import NONE, Targets, admissible, latched_options, three_points
 
 
 class Hand(NamedTuple):
@@ -48,24 +46,6 @@ class SelectionState(NamedTuple):
     spread: Float[Array, " 3"]
     reach: Float[Array, " 3"]
     bias: Float[Array, " c"]
-
-
-class Targets(NamedTuple):
-    """The three-point interface; world frame.
-
-    Attributes:
-        valid: Whether there is an admissible candidate; where not, the rest is void but finite.
-        candidate: Which, :data:`NONE` if there is none.
-        position: ``[3, 3]`` contacts of thumb, first and second wrap, [m].
-        normal: ``[3, 3]`` outward unit normals there.
-        cost: Of the choice, [m]; +inf if there is none.
-    """
-
-    valid: Bool[Array, ""]
-    candidate: Int[Array, ""]
-    position: Float[Array, "3 3"]
-    normal: Float[Array, "3 3"]
-    cost: Float[Array, ""]
 
 
 def start_selection(
@@ -107,21 +87,11 @@ def select(
     """
     tips = _turned_back(R_wo, hand.tips - p_wo)
     opposing = _turned_back(R_wo, hand.opposing)
-    up, floor = R_wo[2], config.min_height - p_wo[2]
-
-    along = spread_directions(candidates, state.reach, config)
-    offset = config.wrap_spread * along
+    options = latched_options(candidates, state.reach, config.targets)
+    allowed = admissible(candidates, options, p_wo, R_wo, config.targets)
+    allowed &= candidates.score >= config.min_score
     cost = _cost(candidates, tips, opposing, config) + state.bias
-    lowest = jnp.minimum(
-        dot(candidates.thumb, up),
-        jnp.minimum(dot(candidates.wrap[:, 0], up), dot(candidates.wrap[:, 1], up)),
-    )
-    lowest = jnp.minimum(lowest, dot(candidates.centre, up) - jnp.abs(dot(offset, up)))
-    thumb_goal, wrap_goal = _goal_heights(candidates, offset, up, config.standoffs)
-    lowest_goal = p_wo[2] + jnp.minimum(thumb_goal, wrap_goal)
-    admissible = candidates.valid & (candidates.score >= config.min_score)
-    admissible &= (lowest >= floor) & (lowest_goal >= config.min_goal_height)
-    cost = jnp.where(admissible, cost, jnp.inf)
+    cost = jnp.where(allowed, cost, jnp.inf)
 
     best = jnp.argmin(cost).astype(jnp.int32)
     running = jnp.maximum(state.candidate, 0)
@@ -130,22 +100,13 @@ def select(
     index = jnp.where(keeps, running, best)
     valid = jnp.isfinite(cost[index])
 
-    spread = _ordered(along[index], state.spread, tips[1] - tips[2], config.swap_angle)
-    centre = candidates.centre[index]
-    local = jnp.stack(
-        [
-            candidates.thumb[index],
-            centre + config.wrap_spread * spread,
-            centre - config.wrap_spread * spread,
-        ]
-    )
-    wrap_normal = candidates.wrap_normal[index]
-    normal = jnp.stack([candidates.normal[index], wrap_normal, wrap_normal])
+    spread = _ordered(options.spread[index], state.spread, tips[1] - tips[2], config.swap_angle)
+    local = three_points(candidates.thumb[index], candidates.centre[index], spread, config.targets)
     targets = Targets(
         valid=valid,
         candidate=jnp.where(valid, index, NONE),
         position=p_wo + _turned(R_wo, local),
-        normal=_turned(R_wo, normal),
+        normal=_turned(R_wo, options.normal[index]),
         cost=cost[index],
     )
     new_state = state._replace(
@@ -154,14 +115,12 @@ def select(
     return targets, new_state
 
 
-def _goal_heights(candidates, offset, up, standoffs):
-    """How high the standoff targets of thumb and lower wrap are above the object's origin, [m]."""
-    thumb = dot(candidates.thumb + standoffs[0] * candidates.normal, up)
-    wrap = dot(candidates.centre + standoffs[1] * candidates.wrap_normal, up)
-    return thumb, wrap - jnp.abs(dot(offset, up))
-
-
-def _cost(candidates, tips, opposing, config):
+def _cost(
+    candidates: Candidates,
+    tips: Float[Array, "3 3"],
+    opposing: Float[Array, " 3"],
+    config: SelectionConfig,
+) -> Float[Array, " c"]:
     wraps = 0.5 * (tips[1] + tips[2])
     span = norm(tips[0] - wraps)
     angle = angle_between(candidates.axis, opposing)
@@ -175,20 +134,12 @@ def _cost(candidates, tips, opposing, config):
     )
 
 
-def spread_directions(
-    candidates: Candidates, reach: Float[Array, " 3"], config: SelectionConfig
-) -> Float[Array, "c 3"]:
-    """unit(u × g) of each candidate, for the preferred axis u that spreads its wraps at all."""
-    axes = jnp.eye(3, dtype=reach.dtype)
-    across = jnp.cross(axes[:, None], candidates.axis[None])
-    length = norm(across)
-    usable = length >= config.min_axis_angle
-    chosen = jnp.argmax(jnp.where(usable, reach[:, None], -1.0), axis=0)
-    picked = jnp.take_along_axis(across, chosen[None, :, None], axis=0)[0]
-    return unit(picked)
-
-
-def _ordered(along, running, towards_first, swap_angle):
+def _ordered(
+    along: Float[Array, " 3"],
+    running: Float[Array, " 3"],
+    towards_first: Float[Array, " 3"],
+    swap_angle: float,
+) -> Float[Array, " 3"]:
     """``along`` or its opposite, whichever suits the fingers' order, with hysteresis."""
     here = angle_between(along, towards_first)
     gain = 2.0 * here - jnp.pi  # of −along over along
@@ -198,9 +149,9 @@ def _ordered(along, running, towards_first, swap_angle):
     return jnp.where(gain > threshold, -along, along)
 
 
-def _turned(R, vec):
+def _turned(R: Float[Array, "3 3"], vec: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     return vec[..., :1] * R[:, 0] + vec[..., 1:2] * R[:, 1] + vec[..., 2:] * R[:, 2]
 
 
-def _turned_back(R, vec):
+def _turned_back(R: Float[Array, "3 3"], vec: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     return vec[..., :1] * R[0] + vec[..., 1:2] * R[1] + vec[..., 2:] * R[2]

@@ -7,11 +7,23 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
+from mjx_grasp.grasp.config import TargetConfig
+from mjx_grasp.grasp.targets import (
+    WAYS,
+    TargetOptions,
+    admissible,
+    closest_axis,
+    standoffs,
+    target_options,
+)
 from mjx_grasp.handoff.clearance import DistanceGrid, distance_grid
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
@@ -19,13 +31,7 @@ from mjx_grasp.handoff.ik import IkSolution, make_ik
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
 from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
-from mjx_grasp.handoff.targets import (
-    TargetVariants,
-    closest_reach_axis,
-    standoffs,
-    target_variants,
-)
-from mjx_grasp.heatmap import Heatmap, heatmap_of
+from mjx_grasp.heatmap import heatmap_of
 from mjx_grasp.robot.arrays import robot_arrays
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
@@ -80,24 +86,17 @@ class HandoffGenerator:
         started = time.perf_counter()
         config, report = self._config, ObjectReport(obj.name)
         rng = np.random.default_rng([config.seed, zlib.crc32(obj.name.encode())])
-        heatmap = jax.tree.map(np.asarray, heatmap_of(obj, self._robot.hand))
-        suits = heatmap.valid & (heatmap.score >= config.sampling.min_score)
+        candidates = vertex_candidates(heatmap_of(obj, self._robot.hand))
+        suits = np.asarray(candidates.valid & (candidates.score >= config.sampling.min_score))
         report.eligible_candidates = int(suits.sum())
         chosen: list[_Accepted] = []
         if suits.any():
             checker = CollisionChecker(build_scene([obj], self._robot))
             grid = distance_grid(obj.pieces)
-            variants = target_variants(
-                heatmap.thumb,
-                heatmap.normals,
-                heatmap.centre,
-                heatmap.axis,
-                heatmap.wrap_normals,
-                config.targets,
-            )
+            options = target_options(candidates, config.targets)
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
-                accepted += self._round(obj, heatmap, variants, suits, checker, grid, report, rng)
+                accepted += self._round(obj, candidates, options, suits, checker, grid, report, rng)
                 chosen = self._choose(accepted)
                 progress(len(chosen))
                 if len(chosen) == config.per_object:
@@ -106,7 +105,9 @@ class HandoffGenerator:
         report.seconds = time.perf_counter() - started
         return self._as_set(obj, chosen), report
 
-    def _round(self, obj, heatmap, variants, suits, checker, grid, report, rng) -> list[_Accepted]:
+    def _round(
+        self, obj, candidates, options, suits, checker, grid, report, rng
+    ) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
         sampling, targets, ik = self._config.sampling, self._config.targets, self._config.ik
         pos, quat = sample_object_poses(obj.resting, sampling.poses_per_round, sampling, rng)
@@ -114,16 +115,15 @@ class HandoffGenerator:
         pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
         first_pose = report.poses
         report.poses += len(pos)
+        rotations = np.array([_matrix(q) for q in quat])
+        high = np.asarray(_admissible(candidates, options, pos, rotations, targets))
+        score, thumb = np.asarray(candidates.score), np.asarray(candidates.thumb)
         pairs = []
         for k in range(len(pos)):
-            rotation = _matrix(quat[k])
-            high = _high_enough(heatmap, variants, rotation, pos[k], targets.min_height)
-            allowed = suits & (variants.usable & high).any(axis=1)
-            drawn = draw_candidates(heatmap.score, heatmap.thumb, allowed, sampling, rng)
+            allowed = suits & high[k].any(axis=1)
+            drawn = draw_candidates(score, thumb, allowed, sampling, rng)
             report.poses_without_candidate += len(drawn) == 0
-            pairs += [
-                (k, rank, c, rotation, variants.usable[c] & high[c]) for rank, c in enumerate(drawn)
-            ]
+            pairs += [(k, rank, c, rotations[k], high[k, c]) for rank, c in enumerate(drawn)]
         if not pairs:
             return []
         report.sampled += len(pairs)
@@ -132,10 +132,11 @@ class HandoffGenerator:
         size = sampling.poses_per_round * sampling.candidates_per_pose
         filled = [pairs[n % len(pairs)] for n in range(size)]
         pose, rank, candidate, rotation, usable = map(np.array, zip(*filled, strict=True))
-        contact = np.einsum("nij,nvkj->nvki", rotation, variants.position[candidate])
+        ways = jax.tree.map(lambda x: np.asarray(x).reshape(-1, WAYS, *x.shape[1:]), options)
+        contact = np.einsum("nij,nvkj->nvki", rotation, ways.position[candidate])
         contact = contact + pos[pose][:, None, None]
-        normal = np.einsum("nij,nkj->nki", rotation, variants.normal[candidate])
-        goal = standoffs(contact, normal[:, None], targets)
+        normal = np.einsum("nij,nkj->nki", rotation, ways.normal[candidate, 0])
+        goal = np.asarray(standoffs(contact, normal[:, None], targets))
         inward = np.broadcast_to(-normal[:, None], goal.shape)
         p_wo, R_wo = np.asarray(pos[pose], np.float32), np.asarray(rotation, np.float32)
         variant, entry = choose_starts(
@@ -152,13 +153,14 @@ class HandoffGenerator:
         )
 
         # What the selection would take for u does not depend on heights.
-        spreads = np.repeat(variants.usable[candidate][:, None], ik.restarts, axis=1)
+        spreads = ways.usable[candidate][:, None, ::2]
         approach = np.einsum("nji,nrj->nri", rotation, solution.approach)
+        axis = np.asarray(closest_axis(np.abs(approach), spreads))
         accepted = []
         for n in range(len(pairs)):
             start, outcome = self._first_clear(
                 jax.tree.map(lambda leaf, n=n: leaf[n], solution),
-                closest_reach_axis(approach[n], spreads[n]),
+                axis[n],
                 variant[n],
                 usable[n],
                 lambda q, n=n: checker.reason(q, pos[pose[n]], quat[pose[n]]),
@@ -174,7 +176,7 @@ class HandoffGenerator:
                 "q": solution.q[n, start],
                 "target_pos": contact[n, variant[n, start]],
                 "target_normal": normal[n],
-                "score": heatmap.score[candidate[n]],
+                "score": score[candidate[n]],
                 "residual": solution.residual[n, start],
             }
             at = first_pose + int(pose[n])
@@ -247,15 +249,20 @@ class HandoffGenerator:
         )
 
 
-def _high_enough(
-    heatmap: Heatmap, variants: TargetVariants, rotation, position, min_height
-) -> np.ndarray:
-    """``[v, 6]``: whether contacts and targets of each variant are high enough at this pose."""
-    up = rotation[2]
-    contacts = np.concatenate([heatmap.thumb[:, None], heatmap.wrap], axis=1) @ up
-    targets = variants.position @ up
-    floor = min_height - position[2]
-    return (contacts.min(axis=1) >= floor)[:, None] & (targets.min(axis=2) >= floor)
+@partial(jax.jit, static_argnames="config")
+def _admissible(
+    candidates: Candidates,
+    options: TargetOptions,
+    p_wo: Float[Array, "n 3"],
+    R_wo: Float[Array, "n 3 3"],
+    config: TargetConfig,
+) -> Bool[Array, "n c v"]:
+    """Which ways of each candidate may be used with the object at each of its poses."""
+
+    def at(pose: tuple[Array, Array]) -> Array:
+        return admissible(candidates, options, *pose, config).reshape(-1, WAYS)
+
+    return jax.lax.map(at, (p_wo, R_wo))
 
 
 def _matrix(quat: np.ndarray) -> np.ndarray:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mjx_grasp.grasp.config import TargetConfig
-
 
 @dataclass(frozen=True)
 class FieldConfig:
@@ -180,4 +178,3 @@ class ReachConfig:
     limits: LimitConfig = field(default_factory=LimitConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
-    targets: TargetConfig = field(default_factory=TargetConfig)

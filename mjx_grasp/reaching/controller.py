@@ -20,7 +20,8 @@ from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
-from mjx_grasp.grasp.select import Hand, SelectionState, Targets, select, start_selection
+from mjx_grasp.grasp.select import Hand, SelectionState, select, start_selection
+from mjx_grasp.grasp.targets import Targets, standoffs
 from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import Goals, Memory, Report, command, start_memory
@@ -232,7 +233,7 @@ class Reacher:
         targets, selection = select(
             candidates, state.selection, self.hand(motion), p_wo, R_wo, self.selection
         )
-        goals = self.standoffs(targets)
+        goals = standoffs(targets.position, targets.normal, self.selection.targets)
         guide, guide_q, astray = no_guide(len(q)), state.guide_q, jnp.float32(0.0)
         if plans is not None and self.config.guide.enabled:
             guide = jax.tree.map(lambda leaf: leaf[state.plan], plans.guide)
@@ -275,12 +276,6 @@ class Reacher:
             number = plans.candidate.shape[0]
             state = state._replace(stale=self._stale(state, wanted.astray, moves, number))
         return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
-
-    def standoffs(self, targets: Targets) -> Float[Array, "3 3"]:
-        """Where the tip frames are to be: outside the contacts along their normals, [m]."""
-        t = self.config.targets
-        distance = np.array([t.thumb_standoff, *[t.wrap_standoff] * 2], np.float32)
-        return targets.position + distance[:, None] * targets.normal
 
     def _advance(self, state, targets, candidates, error, midpoint_error, to_go, waits, plans):
         """Timer, handoff, re-selection, failure."""

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.targets import TargetOptions, admissible, standoffs, target_options
 from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
@@ -115,45 +115,25 @@ def start_library(body: ReachBody, config: PlanConfig) -> Library:
     return Library(jnp.asarray(q), tips, pads)
 
 
-class _Options(NamedTuple):
-    """All ways to assign the tips: candidates × reach axes × order of the wraps."""
+class _Ways(NamedTuple):
+    """All ways to use the candidates, with the object where it is; world frame."""
 
-    candidate: Int[np.ndarray, " v"]
-    axis: Int[np.ndarray, " v"]
-    spread: Float[Array, "v 3"]  # object frame
-    goals: Float[Array, "v 3 3"]  # world
+    options: TargetOptions
+    goals: Float[Array, "v 3 3"]
+    """standoff targets [m]"""
     pads: Float[Array, "v 3 3"]
+    """unit directions for the pad normals"""
     admissible: Bool[Array, " v"]
 
 
-def _options(candidates, around, selection, config) -> _Options:
-    count = candidates.score.shape[0]
-    index = np.repeat(np.arange(count), 6)
-    axis = np.tile(np.repeat(np.arange(3), 2), count)
-    sign = np.tile(np.array([1.0, -1.0], np.float32), 3 * count)
-    across = jnp.cross(jnp.eye(3)[axis], candidates.axis[index])
-    usable = norm(across) >= selection.min_axis_angle
-    spread = sign[:, None] * unit(across)
-    centre = candidates.centre[index]
-    offset = selection.wrap_spread * spread
-    contact = jnp.stack([candidates.thumb[index], centre + offset, centre - offset], axis=1)
-    wrap = candidates.wrap_normal[index]
-    normal = jnp.stack([candidates.normal[index], wrap, wrap], axis=1)
-    targets = config.targets
-    standoff = np.array([targets.thumb_standoff, *[targets.wrap_standoff] * 2], np.float32)
-    local = contact + standoff[:, None] * normal
-    up, height = around.R_wo[2], around.p_wo[2]
-    lowest = jnp.min(dot(contact, up), axis=1)
-    lowest = jnp.minimum(lowest, jnp.min(dot(candidates.wrap[index], up), axis=1))
-    admissible = (
-        usable
-        & candidates.valid[index]
-        & (candidates.score[index] >= selection.min_score)
-        & (lowest + height >= selection.min_height)
-        & (jnp.min(dot(local, up), axis=1) + height >= selection.min_goal_height)
-    )
+def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConfig) -> _Ways:
+    config = selection.targets
+    options = target_options(candidates, config)
+    high = admissible(candidates, options, around.p_wo, around.R_wo, config)
+    scores = (candidates.score >= selection.min_score)[options.candidate]
+    local = standoffs(options.position, options.normal, config)
     goals = around.p_wo + local @ around.R_wo.T
-    return _Options(index, axis, jnp.asarray(spread), goals, jax.vmap(pad_goals)(goals), admissible)
+    return _Ways(options, goals, jax.vmap(pad_goals)(goals), high & scores)
 
 
 def plan_reach(
@@ -218,7 +198,7 @@ def plan_again(
 
 
 def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:
-    options = _options(candidates, around, selection, config)
+    ways = _ways(candidates, around, selection)
     middle = 0.5 * library.tips[:, 0] + 0.25 * (library.tips[:, 1] + library.tips[:, 2])
     distance = norm(middle - around.p_wo)
     # A little chance, so that other keys find other starts.
@@ -231,9 +211,9 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
 
     origin = around.p_wo
     have = features(library.tips[near] - origin, library.pads[near])
-    want = features(options.goals - origin, options.pads)
+    want = features(ways.goals - origin, ways.pads)
     squares = jnp.sum(want**2, axis=1)
-    gap = jnp.where(options.admissible, squares, jnp.inf) - 2.0 * have @ want.T
+    gap = jnp.where(ways.admissible, squares, jnp.inf) - 2.0 * have @ want.T
     option = jnp.argmin(gap, axis=1)
     gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
     time = jnp.max(jnp.abs(library.q[near] - q) / body.velocity_limit, axis=1)
@@ -242,25 +222,25 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
     option, start = option[best], library.q[near[best]]
 
     def attempt(option, start):
-        goals, pads, home = options.goals[option], options.pads[option], jnp.asarray(body.home)
+        goals, pads, home = ways.goals[option], ways.pads[option], jnp.asarray(body.home)
         return solve_ik(body, config, plan.ik, goals, pads, around, start, home)
 
     found: PlanIkSolution = jax.vmap(attempt)(option, start)
-    cost = _costs(body, plan, options.admissible[option], found, q)
+    cost = _costs(body, plan, ways.admissible[option], found, q)
     kept = _different(body, plan, found.q, cost)
 
     def planned(k):
         known = cost[k] < _FAILED
-        return _guide(body, config, plan, options, option[k], found.q[k], around, known)
+        return _guide(body, config, plan, ways, option[k], found.q[k], around, known)
 
     pick = option[kept]
     plans = Plans(
-        candidate=jnp.asarray(options.candidate, jnp.int32)[pick],
-        reach=jax.nn.one_hot(jnp.asarray(options.axis)[pick], 3),
-        spread=options.spread[pick],
+        candidate=jnp.asarray(ways.options.candidate, jnp.int32)[pick],
+        reach=jax.nn.one_hot(jnp.asarray(ways.options.axis)[pick], 3),
+        spread=ways.options.spread[pick],
         guide=jax.vmap(planned)(kept),
     )
-    error, allowed = jnp.max(found.error, axis=1), options.admissible[option]
+    error, allowed = jnp.max(found.error, axis=1), ways.admissible[option]
     clear, close = allowed & (found.penetration <= 0), allowed & (error <= 0.02)
     return Search(
         plans=plans,
@@ -271,9 +251,9 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
     )
 
 
-def _guide(body, config, plan, options, option, q, around, known) -> Guide:
+def _guide(body, config, plan, ways, option, q, around, known) -> Guide:
     """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
-    goals, pads = options.goals[option], options.pads[option]
+    goals, pads = ways.goals[option], ways.pads[option]
     motion = body.kinematics.motion(q)
     middle = midpoint(goals)
     axis = 0.5 * (goals[1] + goals[2]) - goals[0]

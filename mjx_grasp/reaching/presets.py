@@ -34,7 +34,8 @@ def _additions() -> dict[str, Preset]:
         return replace(last, **new)
 
     # A standoff target in the table's way cannot be reached, whatever the controller does.
-    add("standoffs", selection=replace(paper.selection, min_goal_height=0.012))
+    high = replace(paper.selection.targets, min_goal_height=0.012)
+    add("standoffs", selection=replace(paper.selection, targets=high))
     add("escape", reach=reach(solver={"partial_escape": True}))
     add("reachability", plan=PlanConfig(), reach=reach(guide={"enabled": False}))
     add("guide", reach=reach(guide={"enabled": True}, fields={"posture_gain": 8.0}))

@@ -117,7 +117,7 @@ def test_low_contacts_are_rejected(cylinder):
     targets, _ = select(cylinder, start_selection(cylinder, hand, R), hand, p, R, CONFIG)
     k = int(targets.candidate)
     heights = np.concatenate([cylinder.thumb[k][None], cylinder.wrap[k], targets.position - p])
-    assert np.all(heights[:, 2] + 0.06 >= CONFIG.min_height - 1e-6)
+    assert np.all(heights[:, 2] + 0.06 >= CONFIG.targets.min_height - 1e-6)
 
 
 def test_no_admissible_candidate_is_a_result_of_its_own(cylinder):

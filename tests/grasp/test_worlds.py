@@ -62,7 +62,7 @@ def _written(c, hand, p, R):
     # u is the object axis nearest to the palm's approach; the next one where it is along g.
     axes = R.T[np.argsort(-np.abs(approach @ R))]
     across = np.cross(axes[:, None], axis)
-    usable = np.linalg.norm(across, axis=2) >= CONFIG.min_axis_angle
+    usable = np.linalg.norm(across, axis=2) >= CONFIG.targets.min_axis_angle
     across = across[np.argmax(usable, axis=0), np.arange(len(axis))]
     side = 0.020 * _unit(np.where(c.valid[:, None], across, 1.0))
     touched = np.stack([thumb, pair[:, 0], pair[:, 1], centre + side, centre - side])

@@ -61,7 +61,7 @@ def test_plans_put_the_tips_at_their_standoffs_clear_of_everything(planned):
         c, q = int(found.plans.candidate[k, 0]), jnp.asarray(found.plans.guide.q[k, 0, 0])
         assert np.all(q >= body.lower) and np.all(q <= body.upper)
         centre, spread = candidates.centre[c], found.plans.spread[k, 0]
-        offset = reacher.selection.wrap_spread * spread
+        offset = reacher.selection.targets.wrap_spread * spread
         contacts = jnp.stack([candidates.thumb[c], centre + offset, centre - offset])
         wrap = candidates.wrap_normal[c]
         normals = jnp.stack([candidates.normal[c], wrap, wrap])

@@ -28,7 +28,7 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.evaluation.reach.sweep import plan_all
-from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import start_library
@@ -137,7 +137,7 @@ def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] 
 def drawn(name: str, config: QpBenchmarkConfig) -> tuple[QP, WarmStart]:
     """Problems of a preset's reaches."""
     settings = for_sweep(preset(name))
-    reacher = Reacher(reach_body(load_robot()), settings.reach, settings.selection)
+    reacher = Reacher(robot_body(load_robot()), settings.reach, settings.selection)
     poses = draw_poses(config.poses, config.seed)
     plans = None
     if settings.plan:

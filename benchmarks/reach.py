@@ -36,7 +36,7 @@ from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import select, standoffs
-from mjx_grasp.posture.body import FINGERS, reach_body
+from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.reaching.presets import Preset, for_sweep, preset
@@ -277,7 +277,7 @@ def plans_of(
 
 def main(config: ReachBenchmarkConfig) -> None:
     """Measures, prints each row, writes the file after each."""
-    body = reach_body(load_robot())
+    body = robot_body(load_robot())
     most = max(*config.worlds, config.reaches)
     poses = draw_poses(most, config.seed)
     rows: list[dict[str, Any]] = []

@@ -48,11 +48,17 @@ def reach_rates(path: Path) -> str:
             f"Tip errors at handoff in mm: {errors}.",
             f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
             f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick ("
-            f"{1e3 * d['settings']['reach']['limits']['object_clearance']:.0f} mm are asked for), "
+            f"{1e3 * asked_clearance(d):.0f} mm are asked for), "
             f"no two fingers nearer than {safe['least_finger_distance_mm']:.1f} mm, and no joint "
             f"was faster than {safe['largest_speed_over_limit']:.2f} of its limit.",
         )
     )
+
+
+def asked_clearance(d: dict[str, Any]) -> float:
+    """What a sweep kept from the object, by its settings of today or of its time, [m]."""
+    limits = d["settings"]["reach"]["limits"]
+    return limits["clearances"]["object"] if "clearances" in limits else limits["object_clearance"]
 
 
 def reach_limits(paths: Sequence[Path]) -> str:

@@ -31,6 +31,9 @@ CHECKED = (
     "mjx_grasp.evaluation.trials",
     "mjx_grasp.geometry.linear",
     "mjx_grasp.learning.policy",
+    *(f"mjx_grasp.posture.{name}" for name in ("body", "clearances", "cover", "draw", "ik")),
+    *(f"mjx_grasp.posture.{name}" for name in ("library", "surroundings")),
+    "mjx_grasp.handoff.attempts",
     "mjx_grasp.sim.mjx_engine",
     "mjx_grasp.sim.native",
     "mjx_grasp.sim.scene",
@@ -68,6 +71,13 @@ def robot():
     from mjx_grasp.robot.spec import load_robot
 
     return load_robot()
+
+
+@pytest.fixture(scope="session")
+def body(robot):
+    from mjx_grasp.posture.body import robot_body
+
+    return robot_body(robot)
 
 
 @pytest.fixture(scope="session")

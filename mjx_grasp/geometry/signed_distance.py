@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry.vectors import dot, unit
 
@@ -166,35 +166,36 @@ def _to_box(points, shape):
     return jnp.where(is_outside, length, jnp.max(beyond, axis=-1)), sign * normal
 
 
-def _interpolated(points, shape):
+def _interpolated(
+    points: Float[Array, "*n 3"], shape: DistanceField
+) -> tuple[Float[Array, "*n"], Float[Array, "*n 3"]]:
     """Trilinear, with the gradient of the interpolation itself."""
-    last = jnp.asarray(shape.values.shape) - 1
-    place = (points - shape.origin) / shape.spacing
-    inside = jnp.clip(place, 0.0, last.astype(points.dtype))
-    cell = jnp.minimum(inside.astype(jnp.int32), last - 1)
-    t = inside - cell
-    i, j, k = cell[..., 0], cell[..., 1], cell[..., 2]
-    c = {
-        (a, b, d): shape.values[i + a, j + b, k + d] for a in (0, 1) for b in (0, 1) for d in (0, 1)
-    }
-    x, y, z = t[..., 0], t[..., 1], t[..., 2]
-    # Along z, then y, then x; slopes from the same differences.
-    dz = {(a, b): c[a, b, 1] - c[a, b, 0] for a in (0, 1) for b in (0, 1)}
-    cz = {ab: c[(*ab, 0)] + z * dz[ab] for ab in dz}
-    dy = {a: cz[a, 1] - cz[a, 0] for a in (0, 1)}
-    cy = {a: cz[a, 0] + y * dy[a] for a in (0, 1)}
-    value = cy[0] + x * (cy[1] - cy[0])
-    dz0 = dz[0, 0] + y * (dz[0, 1] - dz[0, 0])
-    dz1 = dz[1, 0] + y * (dz[1, 1] - dz[1, 0])
-    slope = jnp.stack([cy[1] - cy[0], dy[0] + x * (dy[1] - dy[0]), dz0 + x * (dz1 - dz0)], axis=-1)
-    slope = slope / shape.spacing
-    beyond = (place - inside) * shape.spacing
-    away = dot(beyond, beyond)
-    outside = away > 0
-    gap = jnp.sqrt(jnp.where(outside, away, 1.0))
+    cells, shares, beyond = [], [], []
+    for axis, count in enumerate(shape.values.shape):
+        place = (points[..., axis] - shape.origin[axis]) / shape.spacing
+        inside = jnp.clip(place, 0.0, count - 1.0)
+        cells.append(jnp.minimum(inside.astype(jnp.int32), count - 2))
+        shares.append(inside - cells[-1])
+        beyond.append((place - inside) * shape.spacing)
+
+    def with_corner(number: Int[Array, ""], sums: tuple[Array, ...]) -> tuple[Array, ...]:
+        which = number // 4, number // 2 % 2, number % 2
+        found = shape.values[tuple(c + w for c, w in zip(cells, which, strict=True))]
+        x, y, z = (jnp.where(w == 1, t, 1.0 - t) for w, t in zip(which, shares, strict=True))
+        dx, dy, dz = (2.0 * w - 1.0 for w in which)
+        parts = x * y * z, dx * y * z, x * dy * z, x * y * dz
+        return tuple(s + part * found for s, part in zip(sums, parts, strict=True))
+
+    # A loop, which is not fused with what comes after it: on a processor every use of the normal
+    # would look all corners up again.
+    zero = jnp.zeros_like(shares[0])
+    value, *slope = jax.lax.fori_loop(0, 8, with_corner, (zero,) * 4)
+    slope = [part / shape.spacing for part in slope]
+    squared = beyond[0] ** 2 + beyond[1] ** 2 + beyond[2] ** 2
+    outside = squared > 0
+    gap = jnp.sqrt(jnp.where(outside, squared, 1.0))
     # Outside the grid the way back to it leads to the surface, nearly enough.
-    towards = unit(slope * jnp.maximum(value, 0.0)[..., None] + beyond)
-    return (
-        value + jnp.where(outside, gap, 0.0),
-        jnp.where(outside[..., None], towards, slope),
-    )
+    over = jnp.maximum(value, 0.0)
+    towards = unit(jnp.stack([s * over + b for s, b in zip(slope, beyond, strict=True)], axis=-1))
+    normal = jnp.where(outside[..., None], towards, jnp.stack(slope, axis=-1))
+    return value + jnp.where(outside, gap, 0.0), normal

@@ -2,83 +2,66 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
-
-
-def _whole_from_1(config: object, *names: str) -> None:
-    for name in names:
-        if getattr(config, name) < 1:
-            field = f"{type(config).__name__}.{name}"
-            raise InputError(field, getattr(config, name), "a whole number from 1")
+from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
+from mjx_grasp.records.settings import (
+    CommandSettings,
+    Count,
+    NonNegative,
+    Positive,
+    Seed,
+    Settings,
+    Share,
+)
+from mjx_grasp.sim.scene import ObjectArea
 
 
 @dataclass(frozen=True)
-class SamplingConfig:
+class SamplingConfig(Settings):
     """Object poses on the table and the candidates tried on them (method §0, §4)."""
 
-    x_range: tuple[float, float] = (0.40, 0.65)
-    """object area in front of the arm [m]"""
-    y_range: tuple[float, float] = (-0.25, 0.25)
-    """object area, lateral [m]"""
-    poses_per_round: int = 128
+    area: ObjectArea = field(default_factory=ObjectArea)
+    """where objects lie"""
+    poses_per_round: Count = 128
     """object poses drawn at a time [-]"""
-    candidates_per_pose: int = 3
+    candidates_per_pose: Count = 3
     """heatmap candidates tried on each [-]"""
-    min_score: float = 0.05
+    min_score: Share = 0.05
     """candidates below this are not used, as in the selection [-]"""
-    temperature: float = 0.2
+    temperature: Positive = 0.2
     """candidates are drawn with weight exp(score/temperature) [-]"""
-    min_distance: float = 0.008
+    min_distance: NonNegative = 0.008
     """of the candidates of one pose, thumb contacts are at least this far apart [m]"""
 
-    def __post_init__(self):
-        for name in ("x_range", "y_range"):
-            low, high = getattr(self, name)
-            if not -math.inf < low <= high < math.inf:
-                raise InputError(f"SamplingConfig.{name}", (low, high), "low <= high [m]")
-        _whole_from_1(self, "poses_per_round", "candidates_per_pose")
-        if not self.temperature > 0:
-            raise InputError("SamplingConfig.temperature", self.temperature, "a positive number")
-        if not self.min_distance >= 0:
-            raise InputError("SamplingConfig.min_distance", self.min_distance, "0 m or more")
-
 
 @dataclass(frozen=True)
-class IkConfig:
-    """The batched inverse kinematics."""
+class PostureConfig(Settings):
+    """The search for a posture at each candidate."""
 
-    iterations: int = 30
-    """Levenberg–Marquardt steps, fixed [-]"""
-    restarts: int = 4
-    """starting configurations per candidate [-]"""
-    library_size: int = 60_000
-    """configurations from which the starts nearest to the targets are taken [-]"""
-    orientation_weight: float = 0.012
-    """pad normal against the inward direction [m/rad]"""
-    posture_weight: float = 0.001
-    """pull towards the open posture at home [m/rad]"""
-    clearance: float = 0.003
-    """hand spheres nearer than this to object, table or another finger are pushed away [m]"""
-    clearance_weight: float = 0.5
-    """of what is missing to that, against tip errors [m/m]"""
-    limit_margin: float = 0.05
-    """kept from every joint limit [rad]"""
-    tolerance: float = 0.005
+    library: Count = 60_000
+    """configurations from which the starts are taken [-]"""
+    grid: Count = 64
+    """points along each edge of the grid of distances to the object [-]"""
+    tolerance: Positive = 0.005
     """a larger tip error rejects [m]"""
-
-    def __post_init__(self):
-        _whole_from_1(self, "iterations", "restarts", "library_size")
-        if not self.tolerance > 0:
-            raise InputError("IkConfig.tolerance", self.tolerance, "a positive length [m]")
+    starts: StartConfig = StartConfig(
+        near=4096, count=4, direction_scale=0.05, chance=0.0, time_scale=0.0, overlap_weight=5.0
+    )
+    """where the solver starts"""
+    ik: IkConfig = IkConfig(idle_weight=None, clearance_weight=1.0)
+    """the solver; fingers that take no part in a grasp stay as they are"""
+    clearances: ClearanceConfig = ClearanceConfig(
+        object=0.003, hand_table=0.003, arm_table=0.003, fingers=0.003, arm=0.003
+    )
+    """what the solver keeps apart; what is refused is for MuJoCo's collisions to say"""
 
 
 @dataclass(frozen=True)
-class HandoffConfig:
+class HandoffConfig(CommandSettings):
     """Settings of `python -m mjx_grasp.handoffs`."""
 
     out: Path
@@ -91,21 +74,19 @@ class HandoffConfig:
     """folder of real scans; parametric stand-ins without it"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
-    per_object: int = 128
+    per_object: Count = 128
     """pre-grasps wanted of each object [-]"""
-    max_rounds: int = 20
+    max_rounds: Count = 20
     """rounds of sampling before an object is left with what it has [-]"""
-    max_per_candidate: int = 4
+    max_per_candidate: Count = 4
     """pre-grasps that may share one heatmap candidate [-]"""
-    seed: int = 0
+    seed: Seed = 0
     """of everything random; an object's states do not depend on the other objects"""
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
-    ik: IkConfig = field(default_factory=IkConfig)
+    posture: PostureConfig = field(default_factory=PostureConfig)
 
-    def __post_init__(self):
-        for name in ("per_object", "max_rounds", "max_per_candidate"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "a whole number from 1")
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.out.suffix != ".npz":
-            raise InputError("out", str(self.out), "a file name ending in .npz")
+            raise InputError("--out", str(self.out), "a file name ending in .npz")

@@ -8,31 +8,25 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.geometry.distance_field import distance_cube
+from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
 from mjx_grasp.grasp.config import TargetConfig
-from mjx_grasp.grasp.targets import (
-    WAYS,
-    TargetOptions,
-    admissible,
-    closest_axis,
-    standoffs,
-    target_options,
-)
-from mjx_grasp.handoff.clearance import DistanceGrid, distance_grid
+from mjx_grasp.grasp.targets import WAYS, TargetOptions, admissible, target_options
+from mjx_grasp.handoff.attempts import Attempts, Pairs, attempt_all
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
-from mjx_grasp.handoff.ik import IkSolution, make_ik
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
-from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
 from mjx_grasp.heatmap import heatmap_of
-from mjx_grasp.robot.arrays import robot_arrays
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.library import build_library
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 
@@ -46,9 +40,20 @@ class _Accepted:
     """A state that passed, and what orders the choice among many."""
 
     pose: int
-    rank: int  # among the candidates of its pose
     candidate: int
     row: dict[str, np.ndarray]
+
+
+class _Task(NamedTuple):
+    """What does not change from round to round."""
+
+    obj: ObjectModel
+    candidates: Candidates
+    options: TargetOptions
+    suits: Bool[np.ndarray, " c"]
+    """which candidates have a sufficient score"""
+    shape: Shape
+    checker: CollisionChecker
 
 
 class HandoffGenerator:
@@ -69,10 +74,10 @@ class HandoffGenerator:
             InputError: The robot does not reach the object area.
         """
         self._robot, self._config = robot, config
-        arrays = robot_arrays(robot)
-        self._library = build_library(arrays, config.ik.library_size, config.sampling, config.seed)
-        self._rank = make_ranking(arrays, config.ik.clearance)
-        self._solve = make_ik(arrays, config.ik)
+        self._body = robot_body(robot)
+        self._library = build_library(
+            self._body, config.posture.library, config.sampling.area, config.seed
+        )
 
     def generate(
         self, obj: ObjectModel, progress: Callable[[int], None] = lambda kept: None
@@ -91,12 +96,12 @@ class HandoffGenerator:
         report.eligible_candidates = int(suits.sum())
         chosen: list[_Accepted] = []
         if suits.any():
-            checker = CollisionChecker(build_scene([obj], self._robot))
-            grid = distance_grid(obj.pieces)
             options = target_options(candidates, config.targets)
+            checker = CollisionChecker(build_scene([obj], self._robot))
+            task = _Task(obj, candidates, options, suits, self._shape(obj), checker)
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
-                accepted += self._round(obj, candidates, options, suits, checker, grid, report, rng)
+                accepted += self._round(task, report, rng)
                 chosen = self._choose(accepted)
                 progress(len(chosen))
                 if len(chosen) == config.per_object:
@@ -105,65 +110,64 @@ class HandoffGenerator:
         report.seconds = time.perf_counter() - started
         return self._as_set(obj, chosen), report
 
+    def _shape(self, obj: ObjectModel) -> Shape:
+        """What the solver keeps away from: the pieces that collisions are checked with."""
+        import os, trimesh
+        kind=os.environ.get("SHAPE","pieces")
+        n=self._config.posture.grid
+        if kind=="mesh":
+            return distance_cube(obj.mesh.vertices,obj.mesh.faces,n)
+        if kind=="min":
+            import jax.numpy as jnp
+            from mjx_grasp.geometry.distance_field import _sampled
+            from mjx_grasp.geometry.signed_distance import DistanceField
+            ms=[p.surface() for p in obj.pieces]
+            v=np.concatenate([m.vertices for m in ms]); low,high=v.min(0)-.03,v.max(0)+.03; size=float((high-low).max())
+            fs=[_sampled(np.asarray(m.vertices,np.float64),np.asarray(m.faces),0.5*(low+high-size),np.full(3,n),size/(n-1)) for m in ms]
+            return DistanceField(jnp.min(jnp.stack([f.values for f in fs]),axis=0),fs[0].origin,fs[0].spacing)
+        m=trimesh.util.concatenate([p.surface() for p in obj.pieces])
+        return distance_cube(m.vertices,m.faces,n)
+
     def _round(
-        self, obj, candidates, options, suits, checker, grid, report, rng
+        self, task: _Task, report: ObjectReport, rng: np.random.Generator
     ) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
-        sampling, targets, ik = self._config.sampling, self._config.targets, self._config.ik
-        pos, quat = sample_object_poses(obj.resting, sampling.poses_per_round, sampling, rng)
+        sampling, candidates = self._config.sampling, task.candidates
+        pos, quat = sample_object_poses(task.obj.resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
         pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
-        first_pose = report.poses
-        report.poses += len(pos)
-        rotations = np.array([_matrix(q) for q in quat])
-        high = np.asarray(_admissible(candidates, options, pos, rotations, targets))
+        turns = np.array([_matrix(q) for q in quat], np.float32)
+        high = np.asarray(_admissible(candidates, task.options, pos, turns, self._config.targets))
         score, thumb = np.asarray(candidates.score), np.asarray(candidates.thumb)
-        pairs = []
+        pairs: list[tuple[int, int]] = []
         for k in range(len(pos)):
-            allowed = suits & high[k].any(axis=1)
+            allowed = task.suits & high[k].any(axis=1)
             drawn = draw_candidates(score, thumb, allowed, sampling, rng)
             report.poses_without_candidate += len(drawn) == 0
-            pairs += [(k, rank, c, rotations[k], high[k, c]) for rank, c in enumerate(drawn)]
+            pairs += [(k, c) for c in drawn]
+        first_pose = report.poses
+        report.poses += len(pos)
         if not pairs:
             return []
         report.sampled += len(pairs)
 
         # Filled up to one size with repetitions, for one compilation.
         size = sampling.poses_per_round * sampling.candidates_per_pose
-        filled = [pairs[n % len(pairs)] for n in range(size)]
-        pose, rank, candidate, rotation, usable = map(np.array, zip(*filled, strict=True))
-        ways = jax.tree.map(lambda x: np.asarray(x).reshape(-1, WAYS, *x.shape[1:]), options)
-        contact = np.einsum("nij,nvkj->nvki", rotation, ways.position[candidate])
-        contact = contact + pos[pose][:, None, None]
-        normal = np.einsum("nij,nkj->nki", rotation, ways.normal[candidate, 0])
-        goal = np.asarray(standoffs(contact, normal[:, None], targets))
-        inward = np.broadcast_to(-normal[:, None], goal.shape)
-        p_wo, R_wo = np.asarray(pos[pose], np.float32), np.asarray(rotation, np.float32)
-        variant, entry = choose_starts(
-            self._library, self._rank, goal, inward, usable, p_wo, R_wo, grid, ik.restarts
+        pose, candidate = np.resize(pairs, (size, 2)).T
+        ways = jax.tree.map(
+            lambda leaf: np.asarray(leaf).reshape(-1, WAYS, *leaf.shape[1:])[candidate],
+            task.options,
         )
-        rows = np.arange(size)[:, None]
-        solution = self._solve_all(
-            grid,
-            goal[rows, variant],
-            inward[rows, variant],
-            self._library.q[entry],
-            np.repeat(p_wo[:, None], ik.restarts, axis=1),
-            np.repeat(R_wo[:, None], ik.restarts, axis=1),
-        )
-
-        # What the selection would take for u does not depend on heights.
-        spreads = ways.usable[candidate][:, None, ::2]
-        approach = np.einsum("nji,nrj->nri", rotation, solution.approach)
-        axis = np.asarray(closest_axis(np.abs(approach), spreads))
+        posture, targets = self._config.posture, self._config.targets
+        tried = Pairs(ways, high[pose, candidate], pos[pose], turns[pose])
+        found = attempt_all(self._body, self._library, posture, targets, task.shape, tried)
+        found = jax.tree.map(np.asarray, found)
         accepted = []
         for n in range(len(pairs)):
+            at = pos[pose[n]], quat[pose[n]]
             start, outcome = self._first_clear(
-                jax.tree.map(lambda leaf, n=n: leaf[n], solution),
-                axis[n],
-                variant[n],
-                usable[n],
-                lambda q, n=n: checker.reason(q, pos[pose[n]], quat[pose[n]]),
+                jax.tree.map(lambda leaf, n=n: leaf[n], found),
+                lambda q, at=at: task.checker.reason(q, *at),
             )
             report.converged += outcome not in ("unreachable", "limits")
             if outcome is not None:
@@ -171,44 +175,36 @@ class HandoffGenerator:
                 continue
             report.feasible += 1
             row = {
-                "object_pos": pos[pose[n]],
-                "object_quat": quat[pose[n]],
-                "q": solution.q[n, start],
-                "target_pos": contact[n, variant[n, start]],
-                "target_normal": normal[n],
+                "object_pos": at[0],
+                "object_quat": at[1],
+                "q": found.q[n, start],
+                "target_pos": found.position[n, start],
+                "target_normal": found.normal[n, start],
                 "score": score[candidate[n]],
-                "residual": solution.residual[n, start],
+                "residual": found.error[n, start],
             }
-            at = first_pose + int(pose[n])
-            accepted.append(_Accepted(at, int(rank[n]), int(candidate[n]), row))
+            accepted.append(_Accepted(first_pose + int(pose[n]), int(candidate[n]), row))
         return accepted
 
-    def _solve_all(self, grid: DistanceGrid, *inputs: np.ndarray) -> IkSolution:
-        """Solves all starts of all pairs; arrays in and out are [pairs, starts, …]."""
-        shape = inputs[0].shape[:2]
-        flat = [np.asarray(x, np.float32).reshape(-1, *x.shape[2:]) for x in inputs]
-        solved = map(np.asarray, self._solve(*flat, grid))
-        return IkSolution(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in solved))
-
-    def _first_clear(self, solution, axis, variant, usable, collision):
-        """The best start that is refused for nothing, or the reason of the one that got farthest.
-
-        The reach axis must be the one that the selection would take with this palm (method §2).
-        """
+    def _first_clear(
+        self, found: Attempts, collision: Callable[[np.ndarray], str | None]
+    ) -> tuple[int, str | None]:
+        """The best start that is refused for nothing, or the reason of the one that got farthest."""
         farthest = -1
-        for start in np.argsort(solution.cost, kind="stable"):
-            if not usable[variant[start]]:
+        for start in np.argsort(found.cost, kind="stable"):
+            if not np.isfinite(found.cost[start]):
                 continue
-            if solution.residual[start].max() > self._config.ik.tolerance:
-                outcome = "limits" if solution.at_limit[start] else "unreachable"
-            elif variant[start] // 2 != axis[start]:
+            if found.error[start].max() > self._config.posture.tolerance:
+                outcome = "limits" if found.at_limit[start] else "unreachable"
+            elif not found.agrees[start]:
                 outcome = "reach-axis"
             else:
-                outcome = collision(solution.q[start])
-                if outcome is None:
+                reason = collision(found.q[start])
+                if reason is None:
                     return start, None
+                outcome = reason
             farthest = max(farthest, OUTCOMES.index(outcome))
-        return None, OUTCOMES[farthest]
+        return -1, OUTCOMES[farthest]
 
     def _choose(self, accepted: list[_Accepted]) -> list[_Accepted]:
         """As many as wanted: one of every pose before a second of any, few of each candidate."""

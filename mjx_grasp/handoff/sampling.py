@@ -36,7 +36,7 @@ def sample_object_poses(
     # The turn about the world's z after the resting rotation: (c, 0, 0, s) · quat.
     quat = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
     position = np.stack(
-        [rng.uniform(*config.x_range, count), rng.uniform(*config.y_range, count), height], axis=1
+        [rng.uniform(*config.area.x, count), rng.uniform(*config.area.y, count), height], axis=1
     )
     return position, quat / np.linalg.norm(quat, axis=1, keepdims=True)
 

@@ -1,7 +1,8 @@
-"""The robot as the reaching controller sees it: joints, frames, capsules and points on its links.
+"""The robot as the search for postures and the reaching controller see it.
 
-Everything is read from the robot's description and its compiled MJCF. Fingers are the subtrees
-below the palm, those of the grasp first; links with boxes are covered by small spheres.
+Joints, frames, capsules and points on its links: all is read from the robot's description and its
+compiled MJCF. Fingers are the subtrees below the palm, those of the grasp first; links with boxes
+are covered by small spheres.
 """
 
 from __future__ import annotations
@@ -9,81 +10,92 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.robot.kinematics import Kinematics
+from mjx_grasp.posture.cover import Part, Solids, cells, covered, filled, may_touch, padded, solids
+from mjx_grasp.robot.indices import robot_indices
+from mjx_grasp.robot.kinematics import Kinematics, Motion
 from mjx_grasp.robot.spec import RobotSpec
 
 FINGERS = 3
 # Of the frames: the three tip sites, then the three pad sites, then the palm site.
 PALM = 2 * FINGERS
-# Spheres that cover a box cut its corners by 0.73 of their radius at most.
-_BOX_SPHERE_RADIUS = 0.008
-# Palm spheres within a cube of this edge share a constraint, [m].
-_PALM_CELL = 0.020
 # An arm link with fewer joints than this above it cannot come near table or object.
 _FEWEST_ARM_JOINTS = 4
 # Arm links with this many joints between them can meet.
 _APART = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Solids:
-    """Spheres swept along segments that are fixed to frames; a point has no length.
-
-    The members of a group share constraints: one for the nearest point of all, and for segments
-    one more for the nearest of either end. With the nearest point alone, a link beside a surface
-    could rock: while one end is held back, a turn takes the other one in unchecked.
-    """
-
-    frame: Int[np.ndarray, " n"]
-    start: Float[np.ndarray, "n 3"]  # m, in the frame
-    end: Float[np.ndarray, "n 3"]
-    radius: Float[np.ndarray, " n"]  # m
-    groups: Int[np.ndarray, "g k"]  # members, padded by repetition
-    names: tuple[str, ...]  # of the groups
-
-    @property
-    def are_points(self) -> bool:
-        """Whether no segment has a length."""
-        return np.array_equal(self.start, self.end)
-
-    @property
-    def rows(self) -> int:
-        """How many constraints they get against object or obstacles."""
-        return len(self.groups) * (1 if self.are_points else 3)
-
-
 @jax.tree_util.register_static
 @dataclass(frozen=True, eq=False)
-class ReachBody:
+class Body:
     """Static under jit. Joints are in the robot's order, the arm's before the hand's."""
 
     robot: RobotSpec
     kinematics: Kinematics
+    palm: Kinematics
+    """of the palm's frame alone"""
     moves: Bool[np.ndarray, "frames joints"]
-    lower: Float[np.ndarray, " joints"]  # rad
+    lower: Float[np.ndarray, " joints"]
+    """position limits [rad]"""
     upper: Float[np.ndarray, " joints"]
-    velocity_limit: Float[np.ndarray, " joints"]  # rad/s
-    home: Float[np.ndarray, " joints"]  # rad
+    """position limits [rad]"""
+    velocity_limit: Float[np.ndarray, " joints"]
+    """[rad/s]"""
+    home: Float[np.ndarray, " joints"]
+    """the arm at home with the hand open [rad]"""
     arm: Bool[np.ndarray, " joints"]
-    approach_axis: Float[np.ndarray, " 3"]  # palm frame
+    """whether a joint is the arm's"""
+    grasping: Bool[np.ndarray, " joints"]
+    """whether it is one of the three fingers'"""
+    approach_axis: Float[np.ndarray, " 3"]
+    """out of the palm, in its frame"""
     opposing_axis: Float[np.ndarray, " 3"]
-    grasping: Bool[np.ndarray, " joints"]  # of the three fingers
+    """whose angle to the grasp axis is weighed, in the palm's frame"""
     hand_capsules: Solids
+    fingers: Int[np.ndarray, "fingers k"]
+    """hand capsules of each finger, padded by repetition"""
     palm_points: Solids
     arm_capsules: Solids
-    # Pairs of hand capsules of different fingers, one row per pair of fingers.
     pairs: Int[np.ndarray, "rows k 2"]
+    """pairs of hand capsules of different fingers, one row per pair of fingers"""
     pair_names: tuple[str, ...]
-    # Pairs of arm capsules that are not neighbours, one row per outer link.
     arm_pairs: Int[np.ndarray, "rows k 2"]
+    """pairs of arm capsules that are not neighbours, one row per outer link"""
+    hand_spheres: Solids
+    """points that fill the hand, few and inside its shapes"""
+    apart: Bool[np.ndarray, "s s"]
+    """which two of them must not overlap"""
+
+    def within(
+        self, margin: float
+    ) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+        """Position limits less a margin, at most a quarter of a joint's range, [rad]."""
+        kept = np.minimum(margin, 0.25 * (self.upper - self.lower))
+        return self.lower + kept, self.upper - kept
+
+    def point_jacobians(
+        self, motion: Motion, frames: Int[np.ndarray, " n"], points: Float[Array, "n 3"]
+    ) -> Float[Array, "n 3 joints"]:
+        """Velocities of world points fixed to frames, per joint velocity."""
+        angular, linear = motion.screws[:, :3], motion.screws[:, 3:]
+        swept = jnp.cross(angular[None], points[:, None]) + linear
+        moves = jnp.asarray(self.moves[frames], points.dtype)
+        return jnp.swapaxes(swept * moves[:, :, None], 1, 2)
+
+    def angular_jacobians(
+        self, motion: Motion, frames: Int[np.ndarray, " n"]
+    ) -> Float[Array, "n 3 joints"]:
+        """Angular velocities of frames, per joint velocity."""
+        moves = jnp.asarray(self.moves[frames], motion.screws.dtype)
+        return moves[:, None, :] * motion.screws[:, :3].T
 
 
-def reach_body(robot: RobotSpec) -> ReachBody:
+def robot_body(robot: RobotSpec) -> Body:
     """Reads shapes, limits and kinematics of a robot.
 
     Raises:
@@ -104,15 +116,14 @@ def reach_body(robot: RobotSpec) -> ReachBody:
         raise InputError("robot", kinematics.joints, "the joints of the description alone")
     frame_of = {body: PALM + 1 + k for k, body in enumerate(bodies)}
 
-    capsules = [(frame_of[b], *part) for b in finger_bodies for part in _cover(model, b)]
-    capsule_body = [b for b in finger_bodies for _ in _cover(model, b)]
-    links = [[n for n, b in enumerate(capsule_body) if b in finger] for finger in fingers]
+    capsules = [part for b in finger_bodies for part in covered(model, b)]
+    links = [[n for n, c in enumerate(capsules) if c.body in finger] for finger in fingers]
     groups, names = [], []
     for finger, members in zip(fingers, links, strict=True):
         # The links next to the palm hardly move against it: they share a row with the next.
         outer = finger[2:]
-        inner = [n for n in members if capsule_body[n] not in outer]
-        parts = [inner, *([n for n in members if capsule_body[n] == b] for b in outer)]
+        inner = [n for n in members if capsules[n].body not in outer]
+        parts = [inner, *([n for n in members if capsules[n].body == b] for b in outer)]
         groups += [part for part in parts if part]
         names += [model.body(finger[-1]).name] * sum(bool(part) for part in parts)
     pairs, pair_names = [], []
@@ -123,41 +134,45 @@ def reach_body(robot: RobotSpec) -> ReachBody:
                 f"{model.body(fingers[i][-1]).name}/{model.body(fingers[j][-1]).name}"
             )
 
-    points = [(frame_of[palm], *part) for part in _cover(model, palm)]
+    points = covered(model, palm)
     if not points:
         raise InputError(
             "hand.palm_body", robot.hand.palm_body, "a body with a shape to keep clear"
         )
-    cells = _cells(points)
-    arm = [(frame_of[b], *part) for b in arm_bodies for part in _cover(model, b)]
-    arm_body = [b for b in arm_bodies for _ in _cover(model, b)]
-    depth = _joints_above(model, arm_body)
+    near = cells(points)
+    arm = [part for b in arm_bodies for part in covered(model, b)]
+    depth = _joints_above(model, [part.body for part in arm])
     far = [n for n in range(len(arm)) if depth[n] >= _FEWEST_ARM_JOINTS]
     if not far:
         raise InputError("arm.joints", robot.arm.joints, "an arm whose outer links have a shape")
     arm_pairs = [[(n, m) for m in range(len(arm)) if depth[m] <= depth[n] - _APART] for n in far]
     arm_pairs = [pairs for pairs in arm_pairs if pairs]
+    far_names = tuple(model.body(arm[n].body).name for n in far)
+    spheres = [part for b in (palm, *finger_bodies) for part in filled(model, b)]
     joints = [model.joint(name) for name in robot.joints]
-    return ReachBody(
+    indices = robot_indices(robot)
+    return Body(
         robot=robot,
         kinematics=kinematics,
+        palm=Kinematics.from_model(model, [robot.hand.palm_site]),
         moves=kinematics.moves,
         lower=np.array([j.range[0] for j in joints], np.float32),
         upper=np.array([j.range[1] for j in joints], np.float32),
         velocity_limit=np.array(robot.velocity_limits, np.float32),
         home=np.array(robot.home, np.float32),
-        arm=np.array([name in robot.arm.joints for name in robot.joints]),
+        arm=indices.mask(indices.arm),
+        grasping=indices.mask(indices.grasping),
         approach_axis=np.array(robot.hand.approach_axis, np.float32),
         opposing_axis=np.array(robot.hand.opposing_axis, np.float32),
-        grasping=np.array([any(n in f.joints for f in robot.hand.fingers) for n in robot.joints]),
-        hand_capsules=_solids(capsules, groups, tuple(names)),
-        palm_points=_solids(points, cells, ("palm",) * len(cells)),
-        arm_capsules=_solids(
-            arm, [[n] for n in far], tuple(model.body(arm_body[n]).name for n in far)
-        ),
-        pairs=_padded(pairs),
+        hand_capsules=solids(capsules, frame_of, groups, tuple(names)),
+        fingers=padded([sorted(members) for members in links if members]),
+        palm_points=solids(points, frame_of, near, ("palm",) * len(near)),
+        arm_capsules=solids(arm, frame_of, [[n] for n in far], far_names),
+        pairs=padded(pairs),
         pair_names=tuple(pair_names),
-        arm_pairs=_padded(arm_pairs) if arm_pairs else np.zeros((0, 1, 2), int),
+        arm_pairs=padded(arm_pairs) if arm_pairs else np.zeros((0, 1, 2), int),
+        hand_spheres=solids(spheres, frame_of, [list(range(len(spheres)))], ("hand",)),
+        apart=_apart(model, robot, spheres),
     )
 
 
@@ -183,7 +198,7 @@ def _arm_bodies(model: mujoco.MjModel, palm: int) -> list[int]:
     while body != 0:
         chain.insert(0, body)
         body = int(model.body_parentid[body])
-    return [b for b in chain if _cover(model, b)]
+    return [b for b in chain if covered(model, b)]
 
 
 def _joints_above(model: mujoco.MjModel, bodies: list[int]) -> list[int]:
@@ -198,81 +213,17 @@ def _joints_above(model: mujoco.MjModel, bodies: list[int]) -> list[int]:
     return counts
 
 
-def _touching(model: mujoco.MjModel, body: int) -> list[int]:
-    """Shapes of a body that can touch something."""
-    first = int(model.body_geomadr[body])
-    geoms = range(first, first + int(model.body_geomnum[body]))
-    return [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+def _apart(model: mujoco.MjModel, robot: RobotSpec, spheres: list[Part]) -> Bool[np.ndarray, "s s"]:
+    """Which spheres must not overlap.
 
-
-def _capsules(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Segments and radius of a body's round shapes; a cylinder by the capsule that encloses it."""
-    found = []
-    for geom in _touching(model, body):
-        kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-        if kind == mujoco.mjtGeom.mjGEOM_BOX:  # see `_cover`
-            continue
-        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-            half, radius = 0.0, size[0]
-        elif kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
-            half, radius = size[1], size[0]
-        else:
-            name = model.geom(geom).name
-            raise InputError("robot", f"geom {name} of another type", "capsules, spheres, boxes")
-        along = half * _matrix(model.geom_quat[geom])[:, 2]
-        found.append((model.geom_pos[geom] - along, model.geom_pos[geom] + along, float(radius)))
-    return found
-
-
-def _cover(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Small spheres just inside the surface of a body's boxes, and its round shapes."""
-    found = _capsules(model, body)
-    for geom in _touching(model, body):
-        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
-            continue
-        size = model.geom_size[geom]
-        radius = min(_BOX_SPHERE_RADIUS, float(size.min()))
-        inner = size - radius
-        steps = [np.linspace(-s, s, max(int(np.ceil(s / radius)), 1) + 1) for s in inner]
-        grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
-        grid = grid[np.any(np.abs(grid) >= inner - 1e-9, axis=1)]
-        placed = model.geom_pos[geom] + grid @ _matrix(model.geom_quat[geom]).T
-        found += [(p, p, radius) for p in placed]
-    return found
-
-
-def _cells(points: list) -> list[list[int]]:
-    """The palm's points in groups of nearby ones, the cells of a grid.
-
-    Were the members of a group far apart, the nearest one could change to one that a turn of the
-    palm sweeps towards the object unchecked.
+    Those that do in the open posture are neighbours whose simplified shapes overlap always.
     """
-    at = np.array([p[1] for p in points])
-    extent = np.ptp(at, axis=0)
-    parts = np.maximum(np.ceil(extent / _PALM_CELL), 1).astype(int)
-    cell = np.minimum((parts * (at - at.min(axis=0)) / extent).astype(int), parts - 1)
-    index = np.ravel_multi_index(tuple(cell.T), tuple(parts))
-    return [list(np.flatnonzero(index == k)) for k in np.unique(index)]
-
-
-def _padded(groups: list[list]) -> np.ndarray:
-    longest = max(len(g) for g in groups)
-    return np.array([[*g, *([g[0]] * (longest - len(g)))] for g in groups])
-
-
-def _solids(parts: list, groups: list[list[int]], names: tuple[str, ...]) -> Solids:
-    frame, start, end, radius = zip(*parts, strict=True)
-    return Solids(
-        frame=np.array(frame),
-        start=np.array(start, np.float32),
-        end=np.array(end, np.float32),
-        radius=np.array(radius, np.float32),
-        groups=_padded(groups),
-        names=names,
-    )
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    mat = np.zeros(9)
-    mujoco.mju_quat2Mat(mat, quat)
-    return mat.reshape(3, 3)
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.home
+    mujoco.mj_kinematics(model, data)
+    owner = np.array([sphere.body for sphere in spheres])
+    local = np.array([sphere.start for sphere in spheres])
+    at = data.xpos[owner] + np.einsum("sij,sj->si", data.xmat[owner].reshape(-1, 3, 3), local)
+    radius = np.array([sphere.radius for sphere in spheres])
+    gap = np.linalg.norm(at[:, None] - at, axis=-1) - radius[:, None] - radius
+    return may_touch(model)[np.ix_(owner, owner)] & (gap > 0)

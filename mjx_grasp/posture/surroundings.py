@@ -12,7 +12,8 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, unit
-from mjx_grasp.posture.body import ReachBody, Solids
+from mjx_grasp.posture.body import Body
+from mjx_grasp.posture.cover import Solids
 from mjx_grasp.robot.kinematics import Motion
 
 # Points of a segment at which its distance is looked at, after both ends.
@@ -22,23 +23,20 @@ _FLAT = 1e-9
 
 
 class Surroundings(NamedTuple):
-    """The world at one tick.
-
-    Attributes:
-        shape: The object, in its own frame.
-        p_wo: ``[3]`` object origin in world, [m].
-        R_wo: ``[3, 3]`` object rotation.
-        v_wo: ``[6]`` object twist: velocity of its origin [m/s], angular velocity [rad/s]; world.
-        obstacles: ``[k, 4]`` spheres to avoid: centre in world and radius, [m]; none is ``k = 0``.
-        obstacle_velocity: ``[k, 3]`` of their centres, [m/s].
-    """
+    """The world at one tick."""
 
     shape: Shape
+    """the object, in its own frame"""
     p_wo: Float[Array, " 3"]
+    """object origin in world [m]"""
     R_wo: Float[Array, "3 3"]
+    """object rotation"""
     v_wo: Float[Array, " 6"]
+    """object twist, world: velocity of its origin [m/s], angular velocity [rad/s]"""
     obstacles: Float[Array, "k 4"]
+    """spheres to avoid, none is ``k = 0``: centre in world and radius [m]"""
     obstacle_velocity: Float[Array, "k 3"]
+    """of their centres [m/s]"""
 
     @classmethod
     def still(
@@ -59,17 +57,14 @@ class Surroundings(NamedTuple):
 
 
 class Proximity(NamedTuple):
-    """Distances of groups of the robot's shapes and how the joints change them.
-
-    Attributes:
-        distance: ``[n]`` of surfaces, [m]; negative where they overlap.
-        slope: ``[n, joints]`` change of the distance per joint velocity, [m/rad].
-        drift: ``[n]`` its change by the other's own motion, [m/s].
-    """
+    """Distances of groups of the robot's shapes and how the joints change them."""
 
     distance: Float[Array, " n"]
+    """of surfaces, negative where they overlap [m]"""
     slope: Float[Array, "n joints"]
+    """change of the distance per joint velocity [m/rad]"""
     drift: Float[Array, " n"]
+    """its change by the other's own motion [m/s]"""
 
 
 def placed(solids: Solids, motion: Motion) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
@@ -79,7 +74,7 @@ def placed(solids: Solids, motion: Motion) -> tuple[Float[Array, "n 3"], Float[A
     return start, pos + _turned(mat, jnp.asarray(solids.end))
 
 
-def _turned(mat, vec):
+def _turned(mat: Float[Array, "*#n 3 3"], vec: Float[Array, "*#n 3"]) -> Float[Array, "*n 3"]:
     return mat[..., 0] * vec[..., :1] + mat[..., 1] * vec[..., 1:2] + mat[..., 2] * vec[..., 2:]
 
 
@@ -133,7 +128,7 @@ def nearest_on_segments(
     """
     along = end - start
 
-    def at(t):
+    def at(t: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         distance, normal = distance_and_normal(shape, start + t[:, None] * along)
         return distance, dot(normal, along)
 
@@ -165,13 +160,11 @@ def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int
     return jnp.take_along_axis(jnp.asarray(groups), choice[:, None], axis=-1)[:, 0]
 
 
-def object_proximity(
-    body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
-) -> Proximity:
+def object_proximity(body: Body, solids: Solids, motion: Motion, around: Surroundings) -> Proximity:
     """Distances of every group of ``solids`` to the object: :attr:`Solids.rows` of them."""
     start, end = placed(solids, motion)
 
-    def rows(at, distance):
+    def rows(at: Float[Array, "n 3"], distance: Float[Array, " n"]) -> Proximity:
         pick = _picked(solids.groups, distance - solids.radius)
         centre = at[pick]
         exact, normal = distance_and_normal(around.shape, to_object(around, centre))
@@ -190,7 +183,7 @@ def object_proximity(
 
 
 def obstacle_proximity(
-    body: ReachBody, solids: Solids, motion: Motion, around: Surroundings
+    body: Body, solids: Solids, motion: Motion, around: Surroundings
 ) -> Proximity:
     """Distances of every group of ``solids`` to the nearest obstacle: :attr:`Solids.rows`."""
     start, end = placed(solids, motion)
@@ -198,7 +191,7 @@ def obstacle_proximity(
     squared = jnp.maximum(dot(along, along), 1e-12)
     centres, size = around.obstacles[:, :3], around.obstacles[:, 3]
 
-    def rows(share):
+    def rows(share: float | Array | None) -> Proximity:
         """At the nearest points, or at one end, of all solids."""
         if share is None:
             offset = centres[:, None] - start
@@ -219,7 +212,7 @@ def obstacle_proximity(
 
 
 def table_proximity(
-    body: ReachBody, solids: Solids, groups: Int[np.ndarray, "g k"], motion: Motion
+    body: Body, solids: Solids, groups: Int[np.ndarray, "g k"], motion: Motion
 ) -> Proximity:
     """Heights of the lowest points of groups of ``solids`` above the table top z = 0."""
     start, end = placed(solids, motion)
@@ -232,18 +225,18 @@ def table_proximity(
     return Proximity(height[pick], slope, jnp.zeros(len(groups), start.dtype))
 
 
-def finger_proximity(body: ReachBody, motion: Motion) -> Proximity:
+def finger_proximity(body: Body, motion: Motion) -> Proximity:
     """Distances of every two fingers."""
     return _between(body, body.hand_capsules, body.pairs, motion)
 
 
-def arm_proximity(body: ReachBody, motion: Motion) -> Proximity:
+def arm_proximity(body: Body, motion: Motion) -> Proximity:
     """Distances of the arm's outer links to its base and inner links."""
     return _between(body, body.arm_capsules, body.arm_pairs, motion)
 
 
 def _between(
-    body: ReachBody, solids: Solids, pairs: Int[np.ndarray, "rows k 2"], motion: Motion
+    body: Body, solids: Solids, pairs: Int[np.ndarray, "rows k 2"], motion: Motion
 ) -> Proximity:
     """Of each row of pairs of ``solids`` the nearest."""
     start, end = placed(solids, motion)

@@ -1,6 +1,6 @@
 """Reactive reaching: velocity fields, a joint-space QP, and the controller around it (§3)."""
 
-from mjx_grasp.posture.body import ReachBody, reach_body
+from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Outcome, Plans, Reacher, ReachState, Tick
@@ -12,7 +12,7 @@ __all__ = [
     "PlanConfig",
     "Plans",
     "Preset",
-    "ReachBody",
+    "Body",
     "ReachConfig",
     "ReachState",
     "Reacher",
@@ -21,6 +21,6 @@ __all__ = [
     "plan_again",
     "plan_reach",
     "preset",
-    "reach_body",
+    "robot_body",
     "start_library",
 ]

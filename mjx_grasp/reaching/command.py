@@ -10,17 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.posture.body import FINGERS, PALM, ReachBody, Solids
-from mjx_grasp.posture.surroundings import (
-    Proximity,
-    Surroundings,
-    arm_proximity,
-    finger_proximity,
-    object_proximity,
-    obstacle_proximity,
-    stacked,
-    table_proximity,
-)
+from mjx_grasp.posture.body import FINGERS, PALM, Body
+from mjx_grasp.posture.clearances import proximities, row_count, table_clearances
+from mjx_grasp.posture.surroundings import Proximity, Surroundings, stacked
 from mjx_grasp.reaching import fields
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.guide import GuideGoal
@@ -92,61 +84,15 @@ class Report(NamedTuple):
     problem: QP
 
 
-def start_memory(body: ReachBody, obstacles: int) -> Memory:
+def start_memory(body: Body, obstacles: int) -> Memory:
     """The memory at rest."""
     joints = len(body.lower)
     warm = cold_start(joints, row_count(body, obstacles))
     return Memory(jnp.zeros(joints), jnp.float32(1.0), warm)
 
 
-def row_count(body: ReachBody, obstacles: int) -> int:
-    """Number of half-spaces."""
-    parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
-    around_object = sum(s.rows for s in parts)
-    table = len(_by_finger(body)) + 1 + len(body.arm_capsules.groups)
-    return around_object * (2 if obstacles else 1) + table + len(body.pairs) + len(body.arm_pairs)
-
-
-def _by_finger(body: ReachBody) -> np.ndarray:
-    """Capsules of each finger as one group."""
-    solids, names = body.hand_capsules, body.hand_capsules.names
-    groups = [
-        np.unique(solids.groups[[k for k, n in enumerate(names) if n == name]])
-        for name in dict.fromkeys(names)
-    ]
-    longest = max(len(g) for g in groups)
-    return np.array([np.pad(g, (0, longest - len(g)), "edge") for g in groups])
-
-
-def _everything(solids: Solids) -> np.ndarray:
-    return np.arange(len(solids.frame))[None]
-
-
-def proximities(
-    body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
-) -> tuple[dict[str, Proximity], Float[Array, " m"]]:
-    """Distances to all that must stay apart, by kind, and what is asked for of each, [m]."""
-    limits = config.limits
-    parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
-    near = {"object": stacked([object_proximity(body, s, motion, around) for s in parts])}
-    safe = [limits.object_clearance] * len(near["object"].distance)
-    if around.obstacles.shape[0]:
-        near["obstacles"] = stacked([obstacle_proximity(body, s, motion, around) for s in parts])
-        safe += [limits.object_clearance] * len(near["obstacles"].distance)
-    hand_groups = (_by_finger(body), _everything(body.palm_points), body.arm_capsules.groups)
-    near["table"] = stacked(
-        [table_proximity(body, s, g, motion) for s, g in zip(parts, hand_groups, strict=True)]
-    )
-    safe += table_clearances(body, config)
-    near["fingers"] = finger_proximity(body, motion)
-    safe += [limits.finger_clearance] * len(near["fingers"].distance)
-    near["arm"] = arm_proximity(body, motion)
-    safe += [limits.object_clearance] * len(near["arm"].distance)
-    return near, jnp.asarray(safe)
-
-
 def half_spaces(
-    body: ReachBody, motion: Motion, around: Surroundings, config: ReachConfig
+    body: Body, motion: Motion, around: Surroundings, config: ReachConfig
 ) -> tuple[Float[Array, "m joints"], Float[Array, " m"], dict[str, Proximity]]:
     """``n̂ᵀJ x ≥ min((d_safe + margin − d)/H, v_escape)`` for all that must stay apart.
 
@@ -154,7 +100,7 @@ def half_spaces(
         The rows, their bounds in [m/s], and the distances by kind.
     """
     limits = config.limits
-    near, safe = proximities(body, motion, around, config)
+    near, safe = proximities(body, motion, around, limits.clearances)
     everything = stacked(list(near.values()))
     drift = everything.drift if limits.follow_object else 0.0
     bound = (safe + limits.margin - everything.distance) / limits.horizon
@@ -163,7 +109,7 @@ def half_spaces(
 
 
 def scaled_back(
-    body: ReachBody,
+    body: Body,
     config: ReachConfig,
     q: Float[Array, " joints"],
     x: Float[Array, " joints"],
@@ -185,10 +131,11 @@ def scaled_back(
         near: Distances now.
     """
     dt, limits = config.controller.dt, config.limits
+    clearances = limits.clearances
     later = around.after(dt) if limits.follow_object else around
 
     def after(x):
-        then, safe = proximities(body, body.kinematics.motion(q + dt * x), later, config)
+        then, safe = proximities(body, body.kinematics.motion(q + dt * x), later, clearances)
         return stacked(list(then.values())).distance, safe
 
     now = stacked(list(near.values()))
@@ -209,28 +156,20 @@ def scaled_back(
     return jnp.where(holds, checked, 0.0)
 
 
-def table_clearances(body: ReachBody, config: ReachConfig) -> list[float]:
-    """What the rows of the table ask for, [m]."""
-    hand = len(_by_finger(body)) + 1
-    arm = len(body.arm_capsules.groups)
-    limits = config.limits
-    return [limits.hand_table_clearance] * hand + [limits.arm_table_clearance] * arm
-
-
 def velocity_box(
-    body: ReachBody, q: Float[Array, " joints"], config: ReachConfig
+    body: Body, q: Float[Array, " joints"], config: ReachConfig
 ) -> tuple[Float[Array, " joints"], Float[Array, " joints"]]:
     """Velocity limits, and position limits over the horizon, [rad/s]; never empty."""
     limits = config.limits
-    margin = np.minimum(limits.limit_margin, 0.25 * (body.upper - body.lower))
-    to_lower = (body.lower + margin - q) / limits.horizon
-    to_upper = (body.upper - margin - q) / limits.horizon
+    lower, upper = body.within(limits.clearances.joint_limits)
+    to_lower = (lower - q) / limits.horizon
+    to_upper = (upper - q) / limits.horizon
     most = body.velocity_limit
     return jnp.clip(to_lower, -most, most), jnp.clip(to_upper, -most, most)
 
 
 def command(
-    body: ReachBody,
+    body: Body,
     config: ReachConfig,
     q: Float[Array, " joints"],
     goals: Goals,
@@ -253,7 +192,7 @@ def command(
     motion = body.kinematics.motion(q)
     tips = motion.pos[:FINGERS]
     middle = norm(fields.midpoint(tips) - fields.midpoint(goals.tips))
-    tip_rows = point_jacobians(body, motion, np.arange(FINGERS), tips)
+    tip_rows = body.point_jacobians(motion, np.arange(FINGERS), tips)
 
     problem, near = _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     solution = solve_qp(problem, memory.warm, config.solver)
@@ -267,7 +206,7 @@ def command(
     if config.limits.margin > 0:
         x = scaled_back(body, config, q, x, around, near)
     obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
-    table = near["table"].distance - jnp.asarray(table_clearances(body, config))
+    table = near["table"].distance - jnp.asarray(table_clearances(body, config.limits.clearances))
     report = Report(
         error=norm(tips - goals.tips),
         midpoint=middle,
@@ -294,7 +233,7 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     if config.limits.follow_object:
         v_tips = v_tips + around.v_wo[:3] + jnp.cross(around.v_wo[3:], goals.tips - around.p_wo)
     turn, turn_weight = fields.pad_rotation(pads, goals.pads, middle, config.fields)
-    turning = angular_jacobians(body, motion, np.arange(FINGERS, PALM))
+    turning = body.angular_jacobians(motion, np.arange(FINGERS, PALM))
     # A pad may spin about its own normal as it likes.
     along = jnp.einsum("fk,fkj->fj", pads, turning)
     turning = turning - pads[:, :, None] * along[:, None, :]
@@ -310,8 +249,8 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     palm = np.array([PALM])
     palm_rows = jnp.concatenate(
         [
-            point_jacobians(body, motion, palm, motion.pos[palm])[0],
-            angular_jacobians(body, motion, palm)[0],
+            body.point_jacobians(motion, palm, motion.pos[palm])[0],
+            body.angular_jacobians(motion, palm)[0],
         ]
     )
     rows = jnp.concatenate(
@@ -333,21 +272,3 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     b = jnp.minimum(b, memory.escape * config.limits.escape_speed)
     lower, upper = velocity_box(body, q, config)
     return QP(P, linear, A, b, lower, upper), near
-
-
-def point_jacobians(
-    body: ReachBody, motion: Motion, frames: np.ndarray, points: Float[Array, "n 3"]
-) -> Float[Array, "n 3 joints"]:
-    """Velocities of world points fixed to frames, per joint velocity."""
-    angular, linear = motion.screws[:, :3], motion.screws[:, 3:]
-    swept = jnp.cross(angular[None], points[:, None]) + linear
-    moves = jnp.asarray(body.moves[frames], points.dtype)
-    return jnp.swapaxes(swept * moves[:, :, None], 1, 2)
-
-
-def angular_jacobians(
-    body: ReachBody, motion: Motion, frames: np.ndarray
-) -> Float[Array, "n 3 joints"]:
-    """Angular velocities of frames, per joint velocity."""
-    moves = jnp.asarray(body.moves[frames], motion.screws.dtype)
-    return moves[:, None, :] * motion.screws[:, :3].T

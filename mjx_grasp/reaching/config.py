@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mjx_grasp.posture.config import ClearanceConfig
+from mjx_grasp.records.settings import NonNegative, Positive, Settings
+
 
 @dataclass(frozen=True)
 class FieldConfig:
@@ -81,30 +84,22 @@ class GuideConfig:
 
 
 @dataclass(frozen=True)
-class LimitConfig:
+class LimitConfig(Settings):
     """What every command must respect."""
 
-    horizon: float = 0.05
+    horizon: Positive = 0.05
     """time over which position limits and clearances are looked ahead [s]"""
-    limit_margin: float = 0.05
-    """kept from every joint limit [rad]"""
-    object_clearance: float = 0.010
-    """hand and arm to object and obstacles [m]"""
-    arm_table_clearance: float = 0.050
-    """arm to table [m]"""
-    hand_table_clearance: float = 0.012
-    """hand to table [m]"""
-    finger_clearance: float = 0.002
-    """finger to finger [m]"""
-    escape_speed: float = 0.35
+    clearances: ClearanceConfig = field(default_factory=ClearanceConfig)
+    """how far to keep from things"""
+    escape_speed: NonNegative = 0.35
     """at most, asked for where a clearance is violated [m/s]"""
-    margin: float = 0.0
+    margin: NonNegative = 0.0
     """half-spaces ask for this much more than the clearances, so that these themselves hold: a
     command that would end its tick below one is scaled back, if need be to nothing; 0 in the
     paper, which bounds the nearest points alone [m]"""
     follow_object: bool = False
     """clearances and targets move with the object's own velocity"""
-    object_speed: float = 0.5
+    object_speed: NonNegative = 0.5
     """apparent object speed above which it is a jump and not a motion [m/s]"""
 
 

@@ -22,7 +22,7 @@ from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.select import Hand, SelectionState, select, start_selection
 from mjx_grasp.grasp.targets import Targets, standoffs
-from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import Goals, Memory, Report, command, start_memory
 from mjx_grasp.reaching.config import ReachConfig
@@ -133,7 +133,7 @@ class Tick(NamedTuple):
 class Reacher:
     """Controller of one robot with one set of settings; static under jit."""
 
-    body: ReachBody
+    body: Body
     config: ReachConfig
     selection: SelectionConfig
 
@@ -268,7 +268,7 @@ class Reacher:
         to_go = jnp.where(guide.known & (wanted.astray < 0.5), to_go, jnp.inf)
         # What passes is waited for: another plan may be a long way round.
         passes = jnp.any(norm(drift) * config.dt > _STILL)
-        passes &= report.obstacle_distance < _HOLDS * limits.object_clearance
+        passes &= report.obstacle_distance < _HOLDS * limits.clearances.obstacles
         state = self._advance(
             state, targets, candidates, error, report.midpoint, to_go, moves | passes, plans
         )

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import angle_between, norm, unit
-from mjx_grasp.posture.body import ReachBody
+from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.surroundings import Surroundings, obstacle_distance, to_object
 from mjx_grasp.reaching.config import FieldConfig, GuideConfig, ReachConfig
 from mjx_grasp.reaching.guide import GuideGoal
@@ -110,7 +110,7 @@ def pad_rotation(
 
 
 def posture_velocity(
-    body: ReachBody,
+    body: Body,
     q: Float[Array, " joints"],
     guide: GuideGoal,
     midpoint_error: Float[Array, ""],

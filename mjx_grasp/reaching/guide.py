@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import solve_spd
 from mjx_grasp.geometry.vectors import norm
-from mjx_grasp.posture.body import PALM, ReachBody
+from mjx_grasp.posture.body import PALM, Body
 from mjx_grasp.reaching.config import GuideConfig
 from mjx_grasp.robot.kinematics import Motion
 
@@ -78,7 +77,7 @@ def no_guide(joints: int) -> Guide:
 
 
 def track(
-    body: ReachBody,
+    body: Body,
     guide: Guide,
     q: Float[Array, "2 joints"],
     p_wo: Float[Array, " 3"],
@@ -100,8 +99,7 @@ def track(
     Returns:
         The configurations, and how far astray they are, 0 to 1.
     """
-    margin = np.minimum(config.limit_margin, 0.25 * (body.upper - body.lower))
-    lower, upper = body.lower + margin, body.upper - margin
+    lower, upper = body.within(config.limit_margin)
 
     def one(q, pos, mat):
         motion = body.kinematics.motion(q)

@@ -19,62 +19,44 @@ from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import TargetOptions, admissible, standoffs, target_options
-from mjx_grasp.posture.body import FINGERS, PALM, ReachBody
+from mjx_grasp.posture.body import FINGERS, PALM, Body
+from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
+from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
+from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.reaching.ik import PlanIkConfig, PlanIkSolution, solve_ik
-from mjx_grasp.robot.arrays import robot_arrays
-from mjx_grasp.robot.postures import draw_postures
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Seed, Settings
 from mjx_grasp.sim.scene import ObjectArea
 
-# A difference of pad directions counts as much as tips this far off, [m].
-_DIRECTION_SCALE = 0.03
 # Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
 _LACKING, _FAILED = 1e3, 1e4
 
 
 @dataclass(frozen=True)
-class PlanConfig:
+class PlanConfig(Settings):
     """How hard a solution is looked for."""
 
-    library: int = 60_000
+    library: Count = 60_000
     """configurations from which the starts are taken [-]"""
-    near: int = 1024
-    """of them, those around the object, compared with every candidate [-]"""
-    starts: int = 32
-    """of them, the most promising, that are solved [-]"""
-    kept: int = 3
+    kept: Count = 3
     """plans that differ, for re-selection [-]"""
-    differs: float = 0.05
+    differs: NonNegative = 0.05
     """palm poses this far apart differ, a turn counting with the lever below [m]"""
-    lever: float = 0.1
+    lever: NonNegative = 0.1
     """of the palm's turn against its displacement [m/rad]"""
-    time_scale: float = 0.05
-    """a start this much farther in time counts as much as tips this far off [m/s]"""
-    tolerance: float = 0.005
+    tolerance: Positive = 0.005
     """largest tip error of a solution to be reached for [m]"""
-    seed: int = 0
+    seed: Seed = 0
     """of the library"""
     area: ObjectArea = field(default_factory=ObjectArea)
     """over which the library's hands are about to grasp something"""
-    ik: PlanIkConfig = field(default_factory=PlanIkConfig)
-
-
-class Library(NamedTuple):
-    """Configurations with the hand about to grasp something over the table.
-
-    Attributes:
-        q: ``[l, joints]`` in [rad].
-        tips: ``[l, 3, 3]`` tip frames in world, [m].
-        pads: ``[l, 3, 3]`` pad normals.
-    """
-
-    q: Float[Array, "l joints"]
-    tips: Float[Array, "l 3 3"]
-    pads: Float[Array, "l 3 3"]
+    starts: StartConfig = field(default_factory=StartConfig)
+    """where the solver starts"""
+    ik: IkConfig = field(default_factory=IkConfig)
+    """the solver; clearances are the controller's"""
 
 
 class Search(NamedTuple):
@@ -96,34 +78,21 @@ class Search(NamedTuple):
     at_limit: Bool[Array, ""]
 
 
-def start_library(body: ReachBody, config: PlanConfig) -> Library:
+def start_library(body: Body, config: PlanConfig) -> Library:
     """Draws the library of a robot; takes some seconds.
 
     Raises:
         InputError: The robot does not reach the object area.
     """
-    arrays = robot_arrays(body.robot)
-    q = draw_postures(arrays, config.library, config.area.x, config.area.y, config.seed)
-
-    @jax.jit
-    @jax.vmap
-    def tips_and_pads(q):
-        motion = body.kinematics.motion(q)
-        return motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
-
-    tips, pads = tips_and_pads(q)
-    return Library(jnp.asarray(q), tips, pads)
+    return build_library(body, config.library, config.area, config.seed)
 
 
 class _Ways(NamedTuple):
     """All ways to use the candidates, with the object where it is; world frame."""
 
-    options: TargetOptions
-    goals: Float[Array, "v 3 3"]
-    """standoff targets [m]"""
-    pads: Float[Array, "v 3 3"]
-    """unit directions for the pad normals"""
-    admissible: Bool[Array, " v"]
+    targets: TargetOptions
+    options: Options
+    """standoff targets, and which of them are admissible"""
 
 
 def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConfig) -> _Ways:
@@ -133,11 +102,12 @@ def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConf
     scores = (candidates.score >= selection.min_score)[options.candidate]
     local = standoffs(options.position, options.normal, config)
     goals = around.p_wo + local @ around.R_wo.T
-    return _Ways(options, goals, jax.vmap(pad_goals)(goals), high & scores)
+    pads = jax.vmap(pad_goals)(goals)
+    return _Ways(options, Options(TipGoals(goals, pads), high & scores))
 
 
 def plan_reach(
-    body: ReachBody,
+    body: Body,
     config: ReachConfig,
     selection: SelectionConfig,
     plan: PlanConfig,
@@ -199,34 +169,17 @@ def plan_again(
 
 def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:
     ways = _ways(candidates, around, selection)
-    middle = 0.5 * library.tips[:, 0] + 0.25 * (library.tips[:, 1] + library.tips[:, 2])
-    distance = norm(middle - around.p_wo)
-    # A little chance, so that other keys find other starts.
-    distance = distance + 0.02 * jax.random.uniform(key, distance.shape)
-    _, near = jax.lax.top_k(-distance, plan.near)
-
-    def features(tips, pads):
-        pads = _DIRECTION_SCALE * pads
-        return jnp.concatenate([tips.reshape(-1, 9), pads.reshape(-1, 9)], axis=1)
-
-    origin = around.p_wo
-    have = features(library.tips[near] - origin, library.pads[near])
-    want = features(ways.goals - origin, ways.pads)
-    squares = jnp.sum(want**2, axis=1)
-    gap = jnp.where(ways.admissible, squares, jnp.inf) - 2.0 * have @ want.T
-    option = jnp.argmin(gap, axis=1)
-    gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
-    time = jnp.max(jnp.abs(library.q[near] - q) / body.velocity_limit, axis=1)
-    gap = gap + (plan.time_scale * time) ** 2
-    _, best = jax.lax.top_k(-gap, plan.starts)
-    option, start = option[best], library.q[near[best]]
+    goals, allowed = ways.options
+    clearances = _clearances(config)
+    starts = choose_starts(body, library, plan.starts, ways.options, around, q, key)
+    option, home = starts.option, jnp.asarray(body.home)
 
     def attempt(option, start):
-        goals, pads, home = ways.goals[option], ways.pads[option], jnp.asarray(body.home)
-        return solve_ik(body, config, plan.ik, goals, pads, around, start, home)
+        wanted = jax.tree.map(lambda leaf: leaf[option], goals)
+        return solve_ik(body, plan.ik, clearances, wanted, around, start, home)
 
-    found: PlanIkSolution = jax.vmap(attempt)(option, start)
-    cost = _costs(body, plan, ways.admissible[option], found, q)
+    found: IkSolution = jax.vmap(attempt)(option, starts.q)
+    cost = _costs(body, plan, allowed[option], found, q)
     kept = _different(body, plan, found.q, cost)
 
     def planned(k):
@@ -235,13 +188,13 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
 
     pick = option[kept]
     plans = Plans(
-        candidate=jnp.asarray(ways.options.candidate, jnp.int32)[pick],
-        reach=jax.nn.one_hot(jnp.asarray(ways.options.axis)[pick], 3),
-        spread=ways.options.spread[pick],
+        candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
+        reach=jax.nn.one_hot(jnp.asarray(ways.targets.axis)[pick], 3),
+        spread=ways.targets.spread[pick],
         guide=jax.vmap(planned)(kept),
     )
-    error, allowed = jnp.max(found.error, axis=1), ways.admissible[option]
-    clear, close = allowed & (found.penetration <= 0), allowed & (error <= 0.02)
+    error = jnp.max(found.error, axis=1)
+    clear, close = allowed[option] & (found.penetration <= 0), allowed[option] & (error <= 0.02)
     return Search(
         plans=plans,
         cost=cost[kept],
@@ -251,9 +204,14 @@ def _plan(body, config, selection, plan, library, candidates, around, q, key) ->
     )
 
 
+def _clearances(config: ReachConfig) -> ClearanceConfig:
+    """Those that the controller keeps: where it can come to rest."""
+    return config.limits.clearances.wider(config.limits.margin)
+
+
 def _guide(body, config, plan, ways, option, q, around, known) -> Guide:
     """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
-    goals, pads = ways.goals[option], ways.pads[option]
+    goals, pads = (leaf[option] for leaf in ways.options.goals)
     motion = body.kinematics.motion(q)
     middle = midpoint(goals)
     axis = 0.5 * (goals[1] + goals[2]) - goals[0]
@@ -261,8 +219,8 @@ def _guide(body, config, plan, ways, option, q, around, known) -> Guide:
     # The palm's frame is at its root; the hand's extent is between it and the tips.
     outwards = motion.pos[PALM] - middle
     retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
-    shifted = goals + config.guide.length * retreat
-    retreated = solve_ik(body, config, plan.ik, shifted, pads, around, q, q)
+    shifted = TipGoals(goals + config.guide.length * retreat, pads)
+    retreated = solve_ik(body, plan.ik, _clearances(config), shifted, around, q, q)
     outside = body.kinematics.motion(retreated.q)
     R = around.R_wo
     pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
@@ -275,7 +233,7 @@ def _guide(body, config, plan, ways, option, q, around, known) -> Guide:
     )
 
 
-def _costs(body, plan, admissible, found: PlanIkSolution, q) -> Float[Array, " n"]:
+def _costs(body, plan, admissible, found: IkSolution, q) -> Float[Array, " n"]:
     """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
     time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
     error = jnp.max(found.error, axis=1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.records.settings import Finite, Settings
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
 
@@ -61,13 +62,20 @@ class SceneConfig:
 
 
 @dataclass(frozen=True)
-class ObjectArea:
+class ObjectArea(Settings):
     """Where on the table objects lie (method §0), in the arm's base frame."""
 
-    x: tuple[float, float] = (0.40, 0.65)
+    x: tuple[Finite, Finite] = (0.40, 0.65)
     """in front of the arm [m]"""
-    y: tuple[float, float] = (-0.25, 0.25)
+    y: tuple[Finite, Finite] = (-0.25, 0.25)
     """to its sides [m]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("x", "y"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise InputError(self.name_of(name), (low, high), "least <= greatest [m]")
 
 
 @dataclass(frozen=True)

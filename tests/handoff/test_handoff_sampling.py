@@ -14,7 +14,7 @@ RESTING = [
 def test_object_poses_rest_in_the_object_area_by_probability():
     config = SamplingConfig()
     position, quat = sample_object_poses(RESTING, 4000, config, np.random.default_rng(0))
-    for axis, (low, high) in enumerate((config.x_range, config.y_range)):
+    for axis, (low, high) in enumerate((config.area.x, config.area.y)):
         assert position[:, axis].min() >= low and position[:, axis].max() <= high
         assert position[:, axis].mean() == pytest.approx((low + high) / 2, abs=0.02)
     upright = position[:, 2] == 0.08

@@ -4,14 +4,6 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def body():
-    from mjx_grasp.posture.body import reach_body
-    from mjx_grasp.robot.spec import load_robot
-
-    return reach_body(load_robot())
-
-
-@pytest.fixture(scope="session")
 def reacher(body):
     """The published controller with few via-points, for speed."""
     from dataclasses import replace

@@ -10,7 +10,7 @@ from six_axis import MJCF, write_six_axis
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.run import run_sweep
-from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.surroundings import placed
 from mjx_grasp.reaching.presets import preset
 from mjx_grasp.robot.spec import load_robot
@@ -32,14 +32,14 @@ def test_it_reaches_and_stays_clear(description):
     assert run.record.speed_ratio.max() <= 1.0 and run.record.limit_excess.max() == 0.0
     limits, clear = settings.reach.limits, run.record.start_distance >= 0.01
     assert clear.sum() > POSES / 2
-    assert run.record.object_distance[clear].min() >= limits.object_clearance - 1e-6
-    assert run.record.finger_distance[clear].min() >= limits.finger_clearance - 1e-6
+    assert run.record.object_distance[clear].min() >= limits.clearances.object - 1e-6
+    assert run.record.finger_distance[clear].min() >= limits.clearances.fingers - 1e-6
     assert run.record.table_margin[clear].min() >= -1e-6
 
 
 def test_boxes_of_links_are_covered(description):
     """No corner of a box sticks out of its spheres by more than their radius allows."""
-    body = reach_body(load_robot(description))
+    body = robot_body(load_robot(description))
     model = mujoco.MjModel.from_xml_path(str(body.robot.mjcf))
     data = mujoco.MjData(model)
     data.qpos[:] = body.home
@@ -73,11 +73,11 @@ def _variant(description, name, *removed):
 def test_a_palm_without_a_shape_is_refused(description):
     bare = _variant(description, "bare", '<geom type="box" size="0.055 0.05 0.02"/>')
     with pytest.raises(InputError, match="palm"):
-        reach_body(bare)
+        robot_body(bare)
 
 
 def test_an_arm_that_cannot_meet_itself_has_no_pairs(description):
     column = '<geom type="cylinder" size="0.06 0.06" pos="0 0 0.06"/>'
     upper = '<geom type="capsule" fromto="0 0 0.05 0 0 0.42" size="0.05"/>'
     thin = _variant(description, "thin", column, '<geom type="sphere" size="0.06"/>', upper)
-    assert len(reach_body(thin).arm_pairs) == 0
+    assert len(robot_body(thin).arm_pairs) == 0

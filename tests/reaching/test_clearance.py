@@ -9,8 +9,9 @@ from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all, sweep
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.posture.body import PALM
+from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.command import proximities, scaled_back
+from mjx_grasp.reaching.command import scaled_back
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.planning import start_library
@@ -65,14 +66,14 @@ def test_no_guide_takes_the_hand_into_the_object(body):
     found = np.asarray(jax.jit(jax.vmap(world))(shapes, poses.p_wo, poses.R_wo, plans))
     to_object, over_table, of_fingers = np.moveaxis(found, 2, 0)
     limits = settings.reach.limits
-    safe = to_object[:, 0] >= limits.object_clearance
+    safe = to_object[:, 0] >= limits.clearances.object
     assert safe.sum() > 0.8 * WORLDS
     nearest = to_object[safe].min(axis=1)
     # It is driven against the object, and stops there.
-    assert np.sum(nearest < limits.object_clearance + 0.001) > 0.2 * WORLDS
-    assert nearest.min() >= limits.object_clearance - ROUNDING
+    assert np.sum(nearest < limits.clearances.object + 0.001) > 0.2 * WORLDS
+    assert nearest.min() >= limits.clearances.object - ROUNDING
     assert over_table[safe].min() >= -ROUNDING
-    assert of_fingers[safe].min() >= limits.finger_clearance - ROUNDING
+    assert of_fingers[safe].min() >= limits.clearances.fingers - ROUNDING
 
 
 def test_a_command_is_scaled_back_to_where_the_clearance_ends(body):
@@ -87,7 +88,7 @@ def test_a_command_is_scaled_back_to_where_the_clearance_ends(body):
 
     @jax.jit
     def distance(q, around):
-        near, _ = proximities(body, body.kinematics.motion(q), around, config)
+        near, _ = proximities(body, body.kinematics.motion(q), around, limits.clearances)
         return jnp.min(near["object"].distance), near
 
     @jax.jit
@@ -105,8 +106,8 @@ def test_a_command_is_scaled_back_to_where_the_clearance_ends(body):
         np.testing.assert_array_equal(scaled(x, beside(-0.5)), x)
         taken = scaled(x, beside(y))
         end = float(distance(q + dt * taken, beside(y))[0])
-        assert end >= limits.object_clearance - ROUNDING
-        room = limits.object_clearance + limits.margin
+        assert end >= limits.clearances.object - ROUNDING
+        room = limits.clearances.object + limits.margin
         free = float(distance(q + dt * x, beside(y))[0]) >= room
         assert np.allclose(taken, x) or not free
         shortened += not np.allclose(taken, x)
@@ -123,6 +124,6 @@ def test_reaches_that_rocked_into_the_object(body):
     library = start_library(body, settings.plan)
     plans = plan_all(reacher, settings.plan, library, poses, len(rows)).plans
     record = sweep(reacher, poses, plans, len(rows))
-    assert record.object_distance.min() >= settings.reach.limits.object_clearance - ROUNDING
+    assert record.object_distance.min() >= settings.reach.limits.clearances.object - ROUNDING
     # How many reach is measured by the sweep; which of these hard ones do changes with their plans.
     assert np.sum(record.fine_time[:, 2] <= 3.0) >= len(rows) - 1

@@ -9,8 +9,8 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import cylinder_candidates
 from mjx_grasp.posture.body import FINGERS, PALM
+from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.command import proximities
 from mjx_grasp.reaching.controller import Outcome, Reacher
 from mjx_grasp.reaching.presets import preset
 
@@ -40,7 +40,8 @@ def _tick(body, name, p, R):
 
     def distances(q, p, R):
         around = Surroundings.still(SHAPE, p, R)
-        near, safe = proximities(body, body.kinematics.motion(q), around, settings.reach)
+        clearances = settings.reach.limits.clearances
+        near, safe = proximities(body, body.kinematics.motion(q), around, clearances)
         return jnp.concatenate([part.distance for part in near.values()]), safe
 
     def one(p, R):

@@ -14,7 +14,8 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import cylinder_candidates, from_heatmap
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.objects.parametric import stand_in
-from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.controller import Outcome, Reacher
 from mjx_grasp.reaching.planning import plan_reach, start_library
@@ -128,7 +129,7 @@ def test_nothing_knows_names(reacher, tmp_path):
         text = text.replace("finger_r_", "digit_").replace("thumb", "first")
         text = text.replace("role: first", "role: thumb").replace("hx5_d20_right_base", "palm")
         (tmp_path / f"other{suffix}").write_text(text.replace("rizon4_hx5d20", "other"))
-    other = replace(reacher, body=reach_body(load_robot(tmp_path / "other.yaml")))
+    other = replace(reacher, body=robot_body(load_robot(tmp_path / "other.yaml")))
     q = jnp.asarray(reacher.body.home)
     renamed, original = (jax.jit(partial(_one_tick, r))(q, CENTRE) for r in (other, reacher))
     np.testing.assert_allclose(renamed, original, atol=1e-6)
@@ -160,7 +161,7 @@ def test_a_mesh_is_reached_for_by_its_distance_grid(body):
     candidates = from_heatmap(heatmap, count=256)
     settings = for_sweep(preset("default"))
     reacher = Reacher(body, settings.reach, settings.selection)
-    plan = replace(settings.plan, library=8000, near=256, starts=16)
+    plan = replace(settings.plan, library=8000, starts=StartConfig(near=256, count=16))
     centre = jnp.asarray([0.5, -0.15, -float(mesh.bounds[0, 2])])
     situation = candidates, Surroundings.still(field, centre, UPRIGHT), jnp.asarray(body.home)
     library, key = start_library(body, plan), jax.random.key(plan.seed)
@@ -169,7 +170,7 @@ def test_a_mesh_is_reached_for_by_its_distance_grid(body):
     )
     run = _reach(reacher, centre, 500, field, candidates, found.plans)
     assert run["error"][-1].max() < 0.020
-    clearance = reacher.config.limits.object_clearance
+    clearance = reacher.config.limits.clearances.object
     # Where it was nearest and at the end; the grid is off by less than a millimetre.
     for tick in (int(np.argmin(run["object"])), len(run["object"]) - 1):
         least = _distance_by_trimesh(body, mesh, run["q"][tick - 1], centre)

@@ -13,6 +13,7 @@ from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.posture.body import FINGERS, PALM
+from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
@@ -29,7 +30,7 @@ COUNT = 6
 def planned(body):
     settings = preset("default")
     reacher = Reacher(body, settings.reach, settings.selection)
-    plan = replace(settings.plan, library=8000, near=256, starts=16)
+    plan = replace(settings.plan, library=8000, starts=StartConfig(near=256, count=16))
     poses = draw_poses(COUNT, seed=21)
     library = start_library(body, plan)
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.viz.reach import failure_gallery
 from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.sweep import empty_record
@@ -33,7 +33,7 @@ except BackendError as error:
     print(error, file=sys.stderr)
     sys.exit(77)
 robot = load_robot()
-body = reach_body(robot)
+body = robot_body(robot)
 classes = np.array(json.loads(sys.argv[2]))
 record = empty_record(len(body.lower))
 record = type(record)(

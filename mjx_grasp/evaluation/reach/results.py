@@ -9,7 +9,7 @@ from jax import Array
 
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, ReachRecord, share_converged
-from mjx_grasp.posture.body import ReachBody
+from mjx_grasp.posture.body import Body
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.records.table import Table
 
@@ -42,7 +42,7 @@ _ROUNDING = 1e-6
 
 
 def classify(
-    body: ReachBody,
+    body: Body,
     limits: LimitConfig,
     record: ReachRecord,
     least_error: Values | None,
@@ -67,15 +67,15 @@ def classify(
     slow = np.isfinite(time)
     touches = np.minimum(np.minimum(record.last_object, record.last_table), record.last_finger)
     collision = touches < _TOUCHES
-    margin = np.minimum(limits.limit_margin, 0.25 * (body.upper - body.lower)) + _AT_LIMIT
-    room = np.minimum(record.q - body.lower, body.upper - record.q) - margin
+    lower, upper = body.within(limits.clearances.joint_limits)
+    room = np.minimum(record.q - lower, upper - record.q) - _AT_LIMIT
     limit = np.any(room < 0, axis=1)
     classes = np.select([unreachable, slow, collision, limit], [0, 1, 3, 2], 4)
     return np.where(failed, classes, -1)
 
 
 def summary(
-    body: ReachBody,
+    body: Body,
     limits: LimitConfig,
     poses: CylinderPoses,
     record: ReachRecord,
@@ -178,7 +178,7 @@ def _limits(record: ReachRecord, limits: LimitConfig) -> dict[str, Any]:
     ``in_contact`` ones touch it; their distances count from when they are first clear. ``Lost``
     is how much nearer a reach ever was than at its start, or than is asked for if that is less.
     """
-    start, asked = np.asarray(record.start_distance), limits.object_clearance
+    start, asked = np.asarray(record.start_distance), limits.clearances.object
     starts = {
         "all": np.ones(len(start), bool),
         "safe": start >= asked,
@@ -225,7 +225,7 @@ def _millimetres(length: float) -> float:
 
 def _nearest(record: ReachRecord, limits: LimitConfig, count: int = 5) -> dict[str, float]:
     """Of the poses that started at a safe distance those that came nearest, [mm]."""
-    safe = np.flatnonzero(np.asarray(record.start_distance) >= limits.object_clearance)
+    safe = np.flatnonzero(np.asarray(record.start_distance) >= limits.clearances.object)
     distance = np.asarray(record.object_distance)[safe]
     order = np.argsort(distance, kind="stable")[:count]
     return {str(safe[k]): _millimetres(distance[k]) for k in order}

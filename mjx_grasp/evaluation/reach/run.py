@@ -15,7 +15,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
-from mjx_grasp.posture.body import reach_body
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import PlanConfig, start_library
 from mjx_grasp.reaching.presets import Preset, for_sweep
@@ -62,7 +62,7 @@ def run_sweep(
         raise InputError("chunk", chunk, "a whole number from 1")
     poses = draw_poses(count, seed)
     settings = for_sweep(settings)
-    body = reach_body(robot)
+    body = robot_body(robot)
     reacher = Reacher(body, settings.reach, settings.selection)
     on_cpu = jax.default_backend() == "cpu"
     chunk = min(chunk or (128 if on_cpu else count), count)

@@ -100,8 +100,9 @@ def _run(
     )
     state = init_state(ppo, env, config.seed)
     if resumed is not None:
-        state = restore_checkpoint(resumed, state, env)
-        console.print(f"resumed from {resumed.name}")
+        state, goes_on = restore_checkpoint(resumed, state, env)
+        worlds = "" if goes_on else ", with fresh worlds: those of its version were others"
+        console.print(f"resumed from {resumed.name}{worlds}")
     state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
     _save_policy(folder, state, config, names, ppo)
     if config.evaluation_episodes:

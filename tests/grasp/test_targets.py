@@ -128,7 +128,9 @@ def test_heights_are_of_the_lowest_contact_target_and_goal():
         target = p + np.asarray(options.position)[row] @ R.T
         points = np.concatenate([target, p + np.asarray(given.wrap)[k] @ R.T])
         assert lowest[row] == pytest.approx(float(points[:, 2].min()), abs=1e-5)
-        outside = target + np.array([0.025, 0.04, 0.04])[:, None] * (np.asarray(options.normal)[row] @ R.T)
+        outside = target + np.array([0.025, 0.04, 0.04])[:, None] * (
+            np.asarray(options.normal)[row] @ R.T
+        )
         assert goal[row] == pytest.approx(float(outside[:, 2].min()), abs=1e-5)
 
 

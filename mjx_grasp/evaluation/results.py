@@ -136,6 +136,7 @@ def write_results(
     rows: Sequence[Row],
     provenance: dict[str, Any],
     robot: RobotIdentity = FIRST_ROBOT,
+    /,
     **extra: Any,
 ) -> None:
     """Writes rows of one kind and their provenance as JSON, complete or not at all.

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.archive import ArchiveKind, Arrays, Header, read_archive, write_archive
-from mjx_grasp.records.settings import Positive, Settings, to_record
+from mjx_grasp.records.settings import Positive, Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 if TYPE_CHECKING:
@@ -119,14 +119,7 @@ def load_trajectory(path: str | Path) -> Trajectory:
         FileError: The file is missing, damaged, or no trajectory.
     """
     header, arrays = read_archive(path, _KIND)
-    return Trajectory(
-        arrays["model"].tobytes(),
-        header.mujoco_version,
-        arrays["qpos"],
-        header.dt,
-        header.focus,
-        header.robot,
-    )
+    return Trajectory(model=arrays["model"].tobytes(), qpos=arrays["qpos"], **vars(header))
 
 
 @dataclass(frozen=True)
@@ -134,7 +127,8 @@ class _Header(Settings):
     mujoco_version: str
     dt: Positive
     focus: str
-    robot: RobotIdentity | None
+    robot: RobotIdentity | None = FIRST_ROBOT
+    """Absent in version 1."""
 
 
 def _check(path: Path, header: _Header, arrays: Arrays) -> None:
@@ -143,10 +137,9 @@ def _check(path: Path, header: _Header, arrays: Arrays) -> None:
 
 
 def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
-    """Without header, checksum and robot."""
+    """Without header and checksum."""
     fields = {name: arrays[name].item() for name in ("mujoco_version", "dt", "focus")}
-    kept = {name: arrays[name] for name in ("model", "qpos")}
-    return fields | {"robot": to_record(FIRST_ROBOT)}, kept
+    return fields, {name: arrays[name] for name in ("model", "qpos")}
 
 
 _KIND = ArchiveKind(

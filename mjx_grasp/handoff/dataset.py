@@ -15,15 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.archive import (
-    ArchiveKind,
-    Arrays,
-    Header,
-    checked,
-    read_archive,
-    write_archive,
-)
-from mjx_grasp.records.settings import Settings, to_record
+from mjx_grasp.records.archive import ArchiveKind, Arrays, checked, read_archive, write_archive
+from mjx_grasp.records.settings import Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
 
 if TYPE_CHECKING:
@@ -199,7 +192,7 @@ def load_handoffs(
             made for other objects or another robot.
     """
     header, arrays = read_archive(path, _KIND)
-    handoffs = HandoffSet(**arrays, **{name: getattr(header, name) for name in _NAMES})
+    handoffs = HandoffSet(**arrays, **vars(header))
     known = dict(zip(handoffs.object_names, handoffs.object_content_hash, strict=True))
     for obj in objects or ():
         if known.get(obj.name, obj.content_hash) != obj.content_hash:
@@ -237,7 +230,8 @@ class _Header(Settings):
     object_names: tuple[str, ...]
     object_content_hash: tuple[str, ...]
     kind: Literal["ik", "reached"]
-    robot: RobotIdentity
+    robot: RobotIdentity = FIRST_ROBOT
+    """Absent in version 1."""
 
 
 def _check(path: Path, header: _Header, arrays: Arrays) -> None:
@@ -266,17 +260,11 @@ def _no_unit(vectors: Float[np.ndarray, "*b d"]) -> Bool[np.ndarray, "*b"]:
     return np.abs(np.linalg.norm(vectors, axis=-1) - 1.0) > _ROUNDING
 
 
-def _with_first_robot(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
-    """Version 1, which named no robot."""
-    fields, arrays = checked(header, arrays)
-    return {**fields, "robot": to_record(FIRST_ROBOT)}, arrays
-
-
 _KIND = ArchiveKind(
     format="mjx_grasp handoff set",
     version=2,
     header=_Header,
     arrays=_ARRAYS,
     check=_check,
-    older={1: _with_first_robot},
+    older={1: checked},
 )

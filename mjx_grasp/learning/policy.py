@@ -24,7 +24,7 @@ from mjx_grasp.records.archive import (
     read_archive,
     write_archive,
 )
-from mjx_grasp.records.settings import Settings, to_record
+from mjx_grasp.records.settings import Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 
@@ -122,7 +122,8 @@ def load_policy(path: str | Path) -> Policy:
 @dataclass(frozen=True)
 class _Header(Settings):
     meta: dict
-    robot: RobotIdentity
+    robot: RobotIdentity = FIRST_ROBOT
+    """Absent in version 1."""
 
 
 def _layers(arrays: Arrays) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
@@ -147,7 +148,7 @@ def _check(path: Path, header: _Header, arrays: Arrays) -> None:
 
 
 def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
-    """Without shapes in the checksum, and without a robot."""
+    """With a checksum of its own, which leaves out shapes."""
     facts = {k: v for k, v in header.items() if k != "sha256"}
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for name in sorted(arrays):
@@ -155,7 +156,7 @@ def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
     if digest.hexdigest() != header["sha256"]:
         raise ChecksumError
-    return {"meta": header["meta"], "robot": to_record(FIRST_ROBOT)}, arrays
+    return {"meta": header["meta"]}, arrays
 
 
 _KIND = ArchiveKind(

@@ -44,7 +44,7 @@ def main(config: RecordConfig) -> None:
     robot = load_robot()
     policy = load_controller(config.policy or asset_path("policy.npz"), robot)
     scene = build_scene_of([config.object], config.objects_dir, robot, SceneConfig())
-    stored = load_handoffs(shipped_handoffs(config.objects_dir))
+    stored = load_handoffs(shipped_handoffs(config.objects_dir), robot=robot)
     world = build_world(
         scene, states_of(stored, [config.object], "evaluation"), TaskConfig().control_dt
     )

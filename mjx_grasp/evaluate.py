@@ -31,7 +31,7 @@ def main(config: EvaluateConfig) -> None:
     robot = load_robot(config.robot)
     file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
     policy = None if file is None else load_controller(file, robot)
-    stored = load_handoffs(handoffs)
+    stored = load_handoffs(handoffs, robot=robot)
     names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
@@ -43,6 +43,7 @@ def main(config: EvaluateConfig) -> None:
         config.out,
         rows,
         provenance(config.seed),
+        robot.identity,
         not_eligible=without,
         settings=as_json(asdict(config)),
         sha256=file_digests(policy=file, handoffs=handoffs),

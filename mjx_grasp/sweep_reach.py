@@ -19,6 +19,8 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.atomic import check_writable, replacing, write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import to_record
+from mjx_grasp.robot.identity import RobotIdentity
 
 if TYPE_CHECKING:
     from mjx_grasp.reaching.presets import Preset
@@ -76,12 +78,15 @@ def check_gallery(config: SweepConfig) -> None:
         ) from error
 
 
-def results_file(config: SweepConfig, settings: Preset, result: dict[str, Any]) -> dict[str, Any]:
+def results_file(
+    config: SweepConfig, settings: Preset, robot: RobotIdentity, result: dict[str, Any]
+) -> dict[str, Any]:
     """The contents of a results file."""
     from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution
 
     return {
         "provenance": provenance(config.seed),
+        "robot": to_record(robot),
         "tuning_seeds": TUNING_SEEDS,
         "preset": config.preset,
         "distribution": asdict(PoseDistribution()),
@@ -119,7 +124,7 @@ def main() -> None:
     failures = ", ".join(f"{n} {v:.1f} %" for n, v in run.result["failures_percent"].items() if v)
     console.print(f"failures at 20 mm and 3 s: {failures or 'none'}")
     if config.out:
-        write_json(config.out, results_file(config, settings, run.result))
+        write_json(config.out, results_file(config, settings, robot.identity, run.result))
         console.print(f"written: {config.out}")
     if config.plot or config.gallery:
         from mjx_grasp.viz.reach import failure_gallery, rate_plot

@@ -14,6 +14,8 @@ import numpy as np
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.settings import from_record, to_record
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
@@ -125,10 +127,17 @@ class Results(Generic[Row]):
     """`command`, `git`, `versions`, `device`, `seed`."""
     extra: dict[str, Any]
     """Whatever else the writer recorded."""
+    robot: RobotIdentity = FIRST_ROBOT
+    """Whose results these are."""
 
 
 def write_results(
-    path: str | Path, rows: Sequence[Row], provenance: dict[str, Any], **extra: Any
+    path: str | Path,
+    rows: Sequence[Row],
+    provenance: dict[str, Any],
+    robot: RobotIdentity = FIRST_ROBOT,
+    /,
+    **extra: Any,
 ) -> None:
     """Writes rows of one kind and their provenance as JSON, complete or not at all.
 
@@ -136,6 +145,7 @@ def write_results(
         path: The file.
         rows: At least one row; all of the same class.
         provenance: From `mjx_grasp.records.provenance.provenance`.
+        robot: Whose results these are.
         **extra: Further top-level entries. `label` names the policy in tables.
 
     Raises:
@@ -148,6 +158,7 @@ def write_results(
         raise InputError("provenance", f"no {', '.join(missing)}", ", ".join(PROVENANCE_KEYS))
     document = {
         "schema": SCHEMAS[type(rows[0])],
+        "robot": to_record(robot),
         **extra,
         "rows": [asdict(r) for r in rows],
         "provenance": provenance,
@@ -176,8 +187,14 @@ def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:
         raise FileError(path, "no rows", "a list of rows")
     if not isinstance(provenance, dict) or not set(PROVENANCE_KEYS) <= set(provenance):
         raise FileError(path, "no whole provenance", f"entries {', '.join(PROVENANCE_KEYS)}")
-    extra = {k: v for k, v in document.items() if k not in ("schema", "rows", "provenance")}
-    return Results(tuple(_row(path, i, r, kind) for i, r in enumerate(rows)), provenance, extra)
+    try:
+        robot = from_record(RobotIdentity, document.get("robot", to_record(FIRST_ROBOT)), "robot")
+    except InputError as error:
+        raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
+    own = ("schema", "robot", "rows", "provenance")
+    extra = {k: v for k, v in document.items() if k not in own}
+    found = tuple(_row(path, i, r, kind) for i, r in enumerate(rows))
+    return Results(found, provenance, extra, robot)
 
 
 def schema_of(path: str | Path) -> str | None:

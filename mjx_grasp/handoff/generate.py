@@ -246,6 +246,7 @@ class HandoffGenerator:
             object_names=(obj.name,),
             object_content_hash=(obj.content_hash,),
             kind="ik",
+            robot=self._robot.identity,
         )
 
 

@@ -85,9 +85,18 @@ def with_task(policy, **changes):
         (lambda p: with_task(p, grip_force=None), r"found task\.grip_force = None.*all fields"),
         (lambda p: with_task(p, grip_force=-1.0), r"grip_force = -1\.0, expected 0 N or more"),
         (lambda p: with_task(p, grip_force="much"), r"found task = .*str.*expected values"),
-        (lambda p: replace(p, mean=p.mean[1:], std=p.std[1:]), r"\(65, 15\).*\(66, 15\)"),
         (
-            lambda p: replace(p, biases=(*p.biases[:-1], p.biases[-1][1:])),
+            lambda p: replace(
+                p, mean=p.mean[1:], std=p.std[1:], weights=(p.weights[0][1:], *p.weights[1:])
+            ),
+            r"\(65, 15\).*\(66, 15\)",
+        ),
+        (
+            lambda p: replace(
+                p,
+                weights=(*p.weights[:-1], p.weights[-1][:, 1:]),
+                biases=(*p.biases[:-1], p.biases[-1][1:]),
+            ),
             r"\(66, 14\).*\(66, 15\)",
         ),
     ],

@@ -24,7 +24,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.geometry.mesh import mass_properties
+from mjx_grasp.geometry.mesh import principal_frame
 from mjx_grasp.heatmap import Heatmap, HeatmapConfig, compute_heatmap, steer
 from mjx_grasp.heatmap.files import HeatmapInfo, save_heatmap, write_ply
 from mjx_grasp.heatmap.nearness import steer_near
@@ -202,7 +202,7 @@ def _make_one(
         name=name,
         span=span,
         friction=friction,
-        com=_floats(mass_properties(vertices, faces).centre),
+        com=_floats(principal_frame(vertices, faces).centre),
         anchor=None if job.anchor is None else _floats(job.anchor),
         sigma=None if job.anchor is None else config.sigma,
     )

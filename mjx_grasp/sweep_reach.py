@@ -23,7 +23,7 @@ from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.identity import RobotIdentity
 
 if TYPE_CHECKING:
-    from mjx_grasp.reaching.presets import Preset
+    from mjx_grasp.reaching.presets import ReachPreset
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def check_gallery(config: SweepConfig) -> None:
 
 
 def results_file(
-    config: SweepConfig, settings: Preset, robot: RobotIdentity, result: dict[str, Any]
+    config: SweepConfig, settings: ReachPreset, robot: RobotIdentity, result: dict[str, Any]
 ) -> dict[str, Any]:
     """The contents of a results file."""
     from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution

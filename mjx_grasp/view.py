@@ -17,7 +17,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.mesh import mass_properties
+from mjx_grasp.geometry.mesh import principal_frame
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.language.grounding import Target, target_of
@@ -76,7 +76,7 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
     name = config.mesh.stem
     with Console(stderr=True).status(f"computing the heatmap of {name}"):
         heatmap = compute_heatmap(vertices, faces, None, span, friction)
-    x, y, z = (float(c) for c in mass_properties(vertices, faces).centre)
+    x, y, z = (float(c) for c in principal_frame(vertices, faces).centre)
     stored = StoredHeatmap(heatmap, faces, HeatmapInfo(name, span, friction, (x, y, z)))
     return stored, target_of(name, mesh, catalogue_entry(name))
 

@@ -11,7 +11,7 @@ import pytest
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.reaching import Outcome
+from mjx_grasp.reaching import ReachOutcome
 
 ROOT = Path(__file__).resolve().parent.parent
 PROVENANCE = {
@@ -253,5 +253,5 @@ def test_the_heatmap_example_runs_as_it_stands():
 def test_the_reaching_example_runs_as_it_stands():
     names: dict = {}
     exec(compile(examples()[1], "README.md", "exec"), names)
-    assert Outcome(int(names["state"].outcome)) is Outcome.HANDOFF
+    assert ReachOutcome(int(names["state"].outcome)) is ReachOutcome.HANDOFF
     assert names["done"].report.error.max() < 0.01

@@ -17,7 +17,7 @@ from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import NONE, Targets, admissible, latched_options, three_points
 
 
-class Hand(NamedTuple):
+class HandPose(NamedTuple):
     """The hand at one tick; world frame.
 
     Attributes:
@@ -49,7 +49,7 @@ class SelectionState(NamedTuple):
 
 
 def start_selection(
-    candidates: Candidates, hand: Hand, R_wo: Float[Array, "3 3"]
+    candidates: Candidates, hand: HandPose, R_wo: Float[Array, "3 3"]
 ) -> SelectionState:
     """The state at the start of a trial: it latches the reach direction.
 
@@ -67,7 +67,7 @@ def start_selection(
 def select(
     candidates: Candidates,
     state: SelectionState,
-    hand: Hand,
+    hand: HandPose,
     p_wo: Float[Array, " 3"],
     R_wo: Float[Array, "3 3"],
     config: SelectionConfig,

@@ -18,7 +18,7 @@ from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
 from mjx_grasp.posture.body import reach_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import PlanConfig, start_library
-from mjx_grasp.reaching.presets import Preset, for_sweep
+from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
 from mjx_grasp.robot.spec import RobotSpec
 
@@ -36,7 +36,7 @@ class SweepRun:
 
 def run_sweep(
     robot: RobotSpec,
-    settings: Preset,
+    settings: ReachPreset,
     count: int,
     seed: int,
     *,

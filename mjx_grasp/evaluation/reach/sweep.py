@@ -15,7 +15,7 @@ from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Outcome, Plans, Reacher, ReachState, Tick
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
 from mjx_grasp.reaching.planning import Library, PlanConfig, Search, plan_reach
 
 TOLERANCES = (0.010, 0.015, 0.020, 0.030, 0.050)
@@ -24,9 +24,6 @@ BUDGETS = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0)
 """Of the fine-adjustment timer, [s]."""
 SLOW = 0.025
 """Speed below which a tip has arrived, [m/s]."""
-HANDOFF_MIDPOINT, HANDOFF_TIMEOUT, HANDOFF_LARGEST = 0.010, 3.0, 0.050
-"""Of the handoff that is recorded while the sweep goes on: midpoint error [m]; timer [s] after
-which a largest tip error [m] is enough."""
 _SEGMENT = 100
 
 
@@ -193,7 +190,7 @@ def sweep(
         for tick in range(0, longest, _SEGMENT):
             state = _gone_on(reacher, problem, state)
             progress(kept * min(_SEGMENT, longest - tick))
-            if np.all(np.asarray(state[0].outcome) != Outcome.RUNNING):
+            if np.all(np.asarray(state[0].outcome) != ReachOutcome.RUNNING):
                 progress(kept * max(longest - tick - _SEGMENT, 0))
                 break
         records.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], state[2]))
@@ -256,7 +253,7 @@ def _segment(reacher: Reacher, problem: Problem, carry):
 
     def step(carry, _):
         state, q, record = carry
-        running = state.outcome == Outcome.RUNNING
+        running = state.outcome == ReachOutcome.RUNNING
         after, tick = reacher.tick(
             state,
             q,
@@ -279,7 +276,7 @@ def recorded(
     reacher: Reacher,
     record: ReachRecord,
     state: ReachState,
-    tick: Tick,
+    tick: ReachTick,
     q: Float[Array, " joints"],
     q_after: Float[Array, " joints"],
 ) -> ReachRecord:
@@ -298,9 +295,7 @@ def recorded(
     tolerance = jnp.asarray(TOLERANCES)
     converged = (error <= tolerance) & (jnp.max(report.speed) < SLOW)
     first = converged & ~jnp.isfinite(record.clock)
-    ready = (report.midpoint < HANDOFF_MIDPOINT) & (error <= config.controller.handoff_tips)
-    late = (state.timer >= HANDOFF_TIMEOUT) & (error <= HANDOFF_LARGEST)
-    hands_off = tick.targets.valid & (ready | late) & ~jnp.isfinite(record.handoff_time)
+    hands_off = tick.ready & ~jnp.isfinite(record.handoff_time)
     contact = jnp.linalg.norm(tick.tips - tick.targets.position, axis=-1)
     clear = report.object_distance > 0
     first_tick = record.ticks == 0

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
+import operator
+import sys
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,7 +36,7 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Whether a number lies in the range; what is no number does not."""
-        if self.finite and not math.isfinite(value):
+        if not abs(value) <= sys.float_info.max and (self.finite or abs(value) != math.inf):
             return False
         return self.low < value <= self.high or (value == self.low and not self.above)
 
@@ -53,7 +56,26 @@ def _short(number: float) -> str:
     return str(number) if isinstance(number, int) else f"{number:g}"
 
 
-_ANY = Range(finite=False)
+@dataclass(frozen=True)
+class Several:
+    """How many values there are, and in what order; part of a type, as `Range` is."""
+
+    least: int = 1
+    ascending: bool = False
+    """Whether no value may be less than the one before it."""
+    strictly: bool = False
+    """Whether each has to be more."""
+
+    def holds(self, values: tuple[Any, ...]) -> bool:
+        """Whether there are as many and in order."""
+        before = operator.lt if self.strictly else operator.le
+        ordered = not self.ascending or all(before(a, b) for a, b in itertools.pairwise(values))
+        return len(values) >= self.least and ordered
+
+    def __str__(self) -> str:
+        order = "different ones in ascending order" if self.strictly else "in ascending order"
+        return f"{self.least} or more" + (f", {order}" if self.ascending else "")
+
 
 Finite = Annotated[float, Range()]
 Positive = Annotated[float, Range(0, above=True)]
@@ -61,8 +83,11 @@ NonNegative = Annotated[float, Range(0)]
 Share = Annotated[float, Range(0, 1)]
 PositiveOrNever = Annotated[float, Range(0, above=True, finite=False)]
 """A threshold that infinity switches off."""
-Count = Annotated[int, Range(1)]
-WholeNumber = Annotated[int, Range(0)]
+_MOST = 2**31 - 1  # what an index of JAX holds
+Count = Annotated[int, Range(1, _MOST)]
+WholeNumber = Annotated[int, Range(0, _MOST)]
+Interval = Annotated[tuple[Finite, Finite], Several(ascending=True)]
+"""A lowest and a highest value."""
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 """What NumPy and JAX both take as a seed."""
 
@@ -111,7 +136,7 @@ def to_record(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-S = TypeVar("S", bound=Settings)
+S = TypeVar("S")
 
 
 def from_record(kind: type[S], record: Any, where: str = "") -> S:
@@ -129,11 +154,11 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
     where = where or kind.__name__
     if not isinstance(record, Mapping):
         raise InputError(where, record, f"the fields of {kind.__name__}")
-    fields = {f.name: f for f in dataclasses.fields(kind)}
+    cached: Any = kind  # of whose hash a type checker thinks as an instance's
+    fields = {f.name: f for f in dataclasses.fields(cached)}
     unknown = sorted(set(record) - set(fields))
     if unknown:
         raise InputError(where, ", ".join(unknown), f"fields of {kind.__name__} alone")
-    cached: Any = kind  # of whose hash a type checker thinks as an instance's
     hints, values = _hints(cached), {}
     for name, known in fields.items():
         if name in record:
@@ -151,17 +176,18 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
 
 
-def _bare(hint: Any) -> tuple[Any, Range | None]:
-    """A type without its annotation, and the range among it."""
+def _bare(hint: Any) -> tuple[Any, Range | None, Several | None]:
+    """A type without its annotation, and the ranges among it."""
     if get_origin(hint) is not Annotated:
-        return hint, None
+        return hint, None, None
     inner, *extras = get_args(hint)
-    return inner, next((e for e in extras if isinstance(e, Range)), None)
+    allowed = next((e for e in extras if isinstance(e, Range)), None)
+    return inner, allowed, next((e for e in extras if isinstance(e, Several)), None)
 
 
 def _problem(hint: Any, value: Any) -> tuple[Any, str] | None:
     """What is wrong with a value, and what was expected; None if nothing is."""
-    bare, allowed = _bare(hint)
+    bare, allowed, several = _bare(hint)
     origin, arguments = get_origin(bare), get_args(bare)
     if origin in (Union, types.UnionType):
         problems = [_problem(argument, value) for argument in arguments]
@@ -174,20 +200,22 @@ def _problem(hint: Any, value: Any) -> tuple[Any, str] | None:
     if origin is Literal:
         return None if value in arguments else (value, f"one of {', '.join(map(str, arguments))}")
     if origin is tuple:
-        return _tuple_problem(arguments, value)
+        problem = _tuple_problem(arguments, value)
+        if problem is None and several is not None and not several.holds(value):
+            return value, str(several)
+        return problem
     if bare in (int, float):
-        whole = "a whole number, " if bare is int else ""
-        number = isinstance(value, int if bare is int else (int, float))
-        if (
-            not number
-            or isinstance(value, bool)
-            or not (allowed or Range(finite=False)).holds(value)
-        ):
-            return value, whole + str(allowed or "a number")
-        return None
+        return _number_problem(bare, allowed, value)
     if isinstance(bare, type) and not isinstance(value, bare):
         return value, "None" if bare is type(None) else f"a {bare.__name__}"
     return None
+
+
+def _number_problem(kind: type, allowed: Range | None, value: Any) -> tuple[Any, str] | None:
+    is_number = isinstance(value, (kind, int)) and not isinstance(value, bool)
+    if is_number and (allowed or Range(finite=False)).holds(value):
+        return None
+    return value, ("a whole number, " if kind is int else "") + str(allowed or "a number")
 
 
 def _tuple_problem(arguments: tuple[Any, ...], value: Any) -> tuple[Any, str] | None:
@@ -203,7 +231,7 @@ def _tuple_problem(arguments: tuple[Any, ...], value: Any) -> tuple[Any, str] | 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
     """A value of JSON as the type has it; what does not fit is left for the check."""
-    bare, _ = _bare(hint)
+    bare, *_ = _bare(hint)
     arguments = get_args(bare)
     if get_origin(bare) in (Union, types.UnionType):
         inner = [a for a in arguments if a is not type(None)]
@@ -213,6 +241,6 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return tuple(_value(h, v, where) for h, v in zip(each, value, strict=False)) + tuple(
             value[len(each) :]
         )
-    if isinstance(bare, type) and issubclass(bare, Settings):
+    if isinstance(bare, type) and dataclasses.is_dataclass(bare):
         return from_record(bare, value, where)
     return Path(value) if bare is Path and isinstance(value, str) else value

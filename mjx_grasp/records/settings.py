@@ -77,6 +77,21 @@ class Several:
         return f"{self.least} or more" + (f", {order}" if self.ascending else "")
 
 
+@dataclass(frozen=True)
+class Suffix:
+    """How the name of a file ends; part of a type, as `Range` is."""
+
+    names: tuple[str, ...]
+    """with the dot"""
+
+    def holds(self, path: Path) -> bool:
+        """Whether a name ends so."""
+        return path.suffix in self.names
+
+    def __str__(self) -> str:
+        return f"a file name ending in {' or '.join(self.names)}"
+
+
 Finite = Annotated[float, Range()]
 Positive = Annotated[float, Range(0, above=True)]
 NonNegative = Annotated[float, Range(0)]
@@ -99,9 +114,11 @@ class Settings:
     def __post_init__(self) -> None:
         kind: Any = type(self)
         for name, hint in _hints(kind).items():
-            problem = _problem(hint, getattr(self, name))
-            if problem is not None:
-                raise InputError(self.name_of(name), *problem)
+            found = getattr(self, name)
+            expected = _expected(hint, found)
+            if expected is not None:
+                found = str(found) if isinstance(found, Path) else found
+                raise InputError(self.name_of(name), found, expected)
 
     def name_of(self, field_name: str) -> str:
         """What a field is called in messages."""
@@ -176,71 +193,65 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
 
 
-def _bare(hint: Any) -> tuple[Any, Range | None, Several | None]:
-    """A type without its annotation, and the ranges among it."""
+Limit = Range | Several | Suffix
+
+
+def _bare(hint: Any) -> tuple[Any, list[Limit]]:
+    """A type without its annotation, and the limits among it."""
     if get_origin(hint) is not Annotated:
-        return hint, None, None
+        return hint, []
     inner, *extras = get_args(hint)
-    allowed = next((e for e in extras if isinstance(e, Range)), None)
-    return inner, allowed, next((e for e in extras if isinstance(e, Several)), None)
+    return inner, [e for e in extras if isinstance(e, Limit)]
 
 
-def _problem(hint: Any, value: Any) -> tuple[Any, str] | None:
-    """What is wrong with a value, and what was expected; None if nothing is."""
-    bare, allowed, several = _bare(hint)
+def _expected(hint: Any, value: Any) -> str | None:
+    """What a value should have been; None if it is that."""
+    bare, limits = _bare(hint)
     origin, arguments = get_origin(bare), get_args(bare)
     if origin in (Union, types.UnionType):
-        problems = [_problem(argument, value) for argument in arguments]
-        if None in problems:
-            return None
-        words = [
-            p[1] for a, p in zip(arguments, problems, strict=True) if p and a is not type(None)
-        ]
-        return value, ", or ".join([*words, *(["None"] if type(None) in arguments else [])])
+        each = [_expected(argument, value) for argument in arguments]
+        return None if None in each else ", or ".join(map(str, each))
     if origin is Literal:
-        return None if value in arguments else (value, f"one of {', '.join(map(str, arguments))}")
-    if origin is tuple:
-        problem = _tuple_problem(arguments, value)
-        if problem is None and several is not None and not several.holds(value):
-            return value, str(several)
-        return problem
+        return None if value in arguments else f"one of {', '.join(map(str, arguments))}"
     if bare in (int, float):
-        return _number_problem(bare, allowed, value)
-    if isinstance(bare, type) and not isinstance(value, bare):
-        return value, "None" if bare is type(None) else f"a {bare.__name__}"
-    return None
+        return _expected_number(bare, limits or [Range(finite=False)], value)
+    if origin is tuple:
+        wrong = _expected_values(arguments, value)
+    elif isinstance(bare, type) and not isinstance(value, bare):
+        wrong = "None" if bare is type(None) else f"a {bare.__name__}"
+    else:
+        wrong = None
+    return wrong or next((str(limit) for limit in limits if not limit.holds(value)), None)
 
 
-def _number_problem(kind: type, allowed: Range | None, value: Any) -> tuple[Any, str] | None:
+def _expected_number(kind: type, limits: list[Any], value: Any) -> str | None:
     is_number = isinstance(value, (kind, int)) and not isinstance(value, bool)
-    if is_number and (allowed or Range(finite=False)).holds(value):
+    if is_number and all(limit.holds(value) for limit in limits):
         return None
-    return value, ("a whole number, " if kind is int else "") + str(allowed or "a number")
+    return ("a whole number, " if kind is int else "") + " and ".join(map(str, limits))
 
 
-def _tuple_problem(arguments: tuple[Any, ...], value: Any) -> tuple[Any, str] | None:
+def _expected_values(arguments: tuple[Any, ...], value: Any) -> str | None:
     if not isinstance(value, tuple):
-        return value, "several values"
-    each = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
-    if len(each) != len(value):
-        return value, f"{len(each)} values"
-    problems = [_problem(*pair) for pair in zip(each, value, strict=True)]
-    found = next((p for p in problems if p is not None), None)
-    return None if found is None else (value, f"of each: {found[1]}")
+        return "several values"
+    hints = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
+    if len(hints) != len(value):
+        return f"{len(hints)} values"
+    each = filter(None, map(_expected, hints, value))
+    return next((f"of each: {wrong}" for wrong in each), None)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
     """A value of JSON as the type has it; what does not fit is left for the check."""
-    bare, *_ = _bare(hint)
+    bare, _ = _bare(hint)
     arguments = get_args(bare)
     if get_origin(bare) in (Union, types.UnionType):
         inner = [a for a in arguments if a is not type(None)]
         return value if value is None else _value(inner[0], value, where)
     if get_origin(bare) is tuple and isinstance(value, list):
-        each = [arguments[0]] * len(value) if arguments[1:] == (...,) else arguments
-        return tuple(_value(h, v, where) for h, v in zip(each, value, strict=False)) + tuple(
-            value[len(each) :]
-        )
+        each = itertools.repeat(arguments[0]) if arguments[1:] == (...,) else arguments
+        known = tuple(_value(h, v, where) for h, v in zip(each, value, strict=False))
+        return (*known, *value[len(known) :])
     if isinstance(bare, type) and dataclasses.is_dataclass(bare):
         return from_record(bare, value, where)
     return Path(value) if bare is Path and isinstance(value, str) else value

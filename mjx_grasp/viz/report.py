@@ -23,7 +23,7 @@ from mjx_grasp.evaluation.tables import (
 )
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
-from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
+from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
 
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2630;background:#f4f6f8;margin:0}

@@ -8,7 +8,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import Interval, Positive, Settings, Several
 
 TUNING_SEEDS = (1, 2, 3, 2752)
@@ -55,14 +54,7 @@ def draw_poses(
         count: How many.
         seed: Of the draw; the first poses of a longer draw are those of a shorter one.
         distribution: Ranges.
-
-    Raises:
-        InputError: A count below one, or a negative seed.
     """
-    if count < 1:
-        raise InputError("poses", count, "a whole number from 1")
-    if seed < 0:
-        raise InputError("seed", seed, "a whole number from 0")
     d = distribution or PoseDistribution()
     ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
     unit = np.random.default_rng(seed).random((count, len(ranges)))

@@ -22,7 +22,7 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 from mjx_grasp.training.after import best_grasp
-from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
+from mjx_grasp.viz.rendering import VideoConfig, render_in_subprocess
 
 
 @dataclass(frozen=True)

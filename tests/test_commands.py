@@ -220,7 +220,6 @@ def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
     bowl = replace(config, objects=("bowl",), handoffs=asset_path("handoffs_standins.npz"))
     refused(bowl, match="--objects: found 'bowl'")
     monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
-    refused(replace(config, handoffs_per_object=0), match="per_object")
     monkeypatch.setitem(sys.modules, "wandb", None)
     project = replace(config, loop=LoopConfig(wandb_project="foo"))
     refused(project, match=r"--loop\.wandb-project.*mjx_grasp\[wandb\]")

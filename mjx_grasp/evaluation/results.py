@@ -13,7 +13,7 @@ import numpy as np
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
@@ -179,7 +179,7 @@ def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:
         FileError: It is missing, no JSON, of another schema, or has rows that contradict
             themselves.
     """
-    document = _document(path)
+    document = read_json(path, "a results file")
     if document.get("schema") != SCHEMAS[kind]:
         raise FileError(path, f"schema {document.get('schema')!r}", f"schema {SCHEMAS[kind]!r}")
     rows, provenance = document.get("rows"), document.get("provenance")
@@ -203,7 +203,7 @@ def schema_of(path: str | Path) -> str | None:
     Raises:
         FileError: The file is missing or no JSON object.
     """
-    return _document(path).get("schema")
+    return read_json(path, "a results file").get("schema")
 
 
 def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]:
@@ -214,18 +214,6 @@ def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]
         np.array([getattr(r, n) for r in rows]) for n in ("successes", "episodes")
     )
     return float(np.mean(100.0 * successes / episodes)), mean_rate_interval(successes, episodes)
-
-
-def _document(path: str | Path) -> dict[str, Any]:
-    try:
-        document = json.loads(Path(path).read_text())
-    except OSError as error:
-        raise FileError(path, error.strerror or "an unreadable file", "a results file") from None
-    except ValueError as error:
-        raise FileError(path, f"no JSON ({error})", "a results file") from None
-    if not isinstance(document, dict):
-        raise FileError(path, f"a JSON {type(document).__name__}", "a JSON object")
-    return document
 
 
 def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:

@@ -8,7 +8,6 @@ has not, the worlds start anew and the training goes on.
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import shutil
 from pathlib import Path
@@ -20,7 +19,7 @@ import orbax.checkpoint as ocp
 from mjx_grasp.errors import FileError
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.ppo import TrainState
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import read_json, write_json
 
 _MANIFEST = "manifest.json"
 _VERSION = 2
@@ -170,11 +169,11 @@ def _checked_manifest(path: Path) -> dict[str, Any]:
 def _looked_at(path: Path) -> tuple[dict[str, Any], str | None]:
     """A checkpoint's manifest, and what is wrong with it; None if its files are as written."""
     try:
-        manifest = json.loads((path / _MANIFEST).read_text())
+        manifest = read_json(path / _MANIFEST, "the checksums of a checkpoint")
         if "version" not in manifest:
             manifest = {"version": 1, "files": manifest}
         version, expected = int(manifest["version"]), dict(manifest["files"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (FileError, ValueError, TypeError, KeyError) as error:
         return {}, f"no readable manifest ({error})"
     if version > _VERSION:
         return manifest, f"version {version}, which needs a newer package"

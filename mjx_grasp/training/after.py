@@ -74,7 +74,7 @@ def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
     return EvaluateConfig(
         out=out,
         episodes=config.evaluation_episodes,
-        seed=config.seed + 1,
+        seed=(config.seed + 1) % 2**32,
         friction=sum(noise.friction) / 2,
         offset_mm=1e3 * noise.offset_m,
         angle_deg=math.degrees(noise.angle_rad),

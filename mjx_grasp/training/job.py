@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import time
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.spec import load_robot
@@ -51,6 +50,7 @@ def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, 
         KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
     """
     require_wandb(config.loop.wandb_project)
+    folder = _run_folder(config)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
     stored = None if config.handoffs is None else load_handoffs(config.handoffs)
     _check_same_handoffs(config)
@@ -60,7 +60,7 @@ def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, 
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
-    folder = _open_run(config)
+    _open_run(config, folder)
     try:
         if stored is None or world is None:
             try:
@@ -114,19 +114,19 @@ def _check_same_handoffs(config: TrainConfig) -> None:
     """Refuses to resume on other start states than the run began with.
 
     Raises:
-        FileError: The handoff file has changed since.
+        FileError: The handoff file has changed since, or the run's provenance cannot be read.
     """
-    path = None if config.resume is None else config.resume / "provenance.json"
-    if path is None or config.handoffs is None or not path.is_file():
+    if config.resume is None:
         return
-    try:
-        began = json.loads(path.read_text()).get("sha256", {}).get("handoffs")
-    except (OSError, ValueError, AttributeError) as error:
-        raise FileError(path, f"no provenance ({error})", "that of the run to resume") from None
-    digest = file_digests(handoffs=config.handoffs)["handoffs"]
-    if began not in (None, digest):
+    path, expected = config.resume / "provenance.json", "the provenance of the run to resume"
+    made_of = read_json(path, expected).get("sha256", {})
+    began = made_of.get("handoffs") if isinstance(made_of, dict) else made_of
+    if not isinstance(began, str | None):
+        raise FileError(path, f"sha256 = {made_of!r}", expected)
+    digest = file_digests(handoffs=config.handoffs).get("handoffs")
+    if began is not None and digest not in (None, began):
         what = f"the file that {config.resume} began with (SHA-256 {began[:12]})"
-        raise FileError(config.handoffs, f"a changed file (SHA-256 {digest[:12]})", what)
+        raise FileError(config.handoffs or path, f"a changed file (SHA-256 {digest[:12]})", what)
 
 
 def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
@@ -151,8 +151,13 @@ def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Con
     return build_world(scene, states_of(handoffs, names, "training"), config.task.control_dt)
 
 
-def _open_run(config: TrainConfig) -> Path:
-    """The run's folder; a new run's configuration and provenance are written to it."""
+def _run_folder(config: TrainConfig) -> Path:
+    """The run's folder: that of the run to resume, or one that can be made.
+
+    Raises:
+        FileError: There is a run in it already.
+        InputError: Nothing can be written there.
+    """
     if config.resume is not None:
         return config.resume
     folder = config.out or Path("runs") / f"{config.preset}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -160,13 +165,18 @@ def _open_run(config: TrainConfig) -> Path:
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
-    check_writable("--out", folder / "config.json")
+    check_new_folder("--out", folder)
+    return folder
+
+
+def _open_run(config: TrainConfig, folder: Path) -> None:
+    """Writes the configuration and the provenance of a new run to its folder."""
+    if config.resume is not None:
+        return
     made_of = {"sha256": file_digests(handoffs=config.handoffs)}
     contents = (to_record(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
-        with replacing(folder / name) as temporary:
-            temporary.write_text(json.dumps(content, indent=2))
-    return folder
+        write_json(folder / name, content)
 
 
 def _discard_run(folder: Path) -> None:
@@ -211,6 +221,6 @@ def _save_policy(
         "task": to_record(config.task),
         "objects": names,
         "env_steps": int(state.iteration) * ppo.steps_per_iteration,
-        "provenance": json.loads((folder / "provenance.json").read_text()),
+        "provenance": read_json(folder / "provenance.json", "the provenance of the run"),
     }
     policy_from_training(state.params.policy, state.normalizer, meta).save(folder / "policy.npz")

@@ -82,9 +82,15 @@ def with_task(policy, **changes):
     [
         (lambda p: replace(p, meta={}), "found task = None"),
         (lambda p: with_task(p, grip_power=2.0), r"found task\.grip_power = 2\.0.*no others"),
-        (lambda p: with_task(p, grip_force=None), r"found task\.grip_force = 'nothing'.*all fields"),
+        (
+            lambda p: with_task(p, grip_force=None),
+            r"found task\.grip_force = 'nothing'.*all fields",
+        ),
         (lambda p: with_task(p, grip_force=-1.0), r"GripConfig\.force = -1\.0, expected 0 or more"),
-        (lambda p: with_task(p, grip_force="much"), r"GripConfig\.force = 'much', expected 0 or more"),
+        (
+            lambda p: with_task(p, grip_force="much"),
+            r"GripConfig\.force = 'much', expected 0 or more",
+        ),
         (
             lambda p: replace(
                 p, mean=p.mean[1:], std=p.std[1:], weights=(p.weights[0][1:], *p.weights[1:])

@@ -121,7 +121,7 @@ def test_a_row_that_contradicts_itself_is_refused(field, value, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "No such file"),
+        (None, "no such file"),
         ("{", "no JSON"),
         ("[]", "JSON list"),
         ("{}", "schema None"),

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from mjx_grasp.tasks.observation import privileged, proprioception
 
-
 SCALARS = (0.0, 0.25, 0.1, 0.5, 0.2, 0.8, 1.0)
 """Stage, times, rise, slip, friction and mass."""
 

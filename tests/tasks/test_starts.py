@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted import draw_of
 
-from mjx_grasp.errors import InputError
 from mjx_grasp.closing.guidance import goal_frame
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.tasks.config import StartNoise

@@ -135,7 +135,7 @@ def write_results(
     path: str | Path,
     rows: Sequence[Row],
     provenance: dict[str, Any],
-    robot: RobotIdentity = FIRST_ROBOT,
+    robot: RobotIdentity,
     /,
     **extra: Any,
 ) -> None:

@@ -78,7 +78,7 @@ def policy_from_training(
     policy_params: Any,
     normalizer: RunningStatisticsState,
     meta: dict[str, Any],
-    robot: RobotIdentity = FIRST_ROBOT,
+    robot: RobotIdentity,
 ) -> Policy:
     """Takes the actor out of a training.
 

@@ -26,7 +26,8 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.identity import RobotIdentity
+from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.rewards import RewardTerm
@@ -52,11 +53,11 @@ def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, 
     require_wandb(config.loop.wandb_project)
     folder = _run_folder(config)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
-    stored = None if config.handoffs is None else load_handoffs(config.handoffs)
+    robot = load_robot(config.robot)
+    stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
     _check_same_handoffs(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
-    robot = load_robot(config.robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
@@ -64,7 +65,7 @@ def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, 
     try:
         if stored is None or world is None:
             try:
-                stored = _made_handoffs(config, folder, console)
+                stored = _made_handoffs(config, robot, folder, console)
             except MjxGraspError:
                 if config.resume is None:
                     _discard_run(folder)
@@ -104,7 +105,7 @@ def _run(
         worlds = "" if goes_on else ", with fresh worlds: those of its version were others"
         console.print(f"resumed from {resumed.name}{worlds}")
     state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
-    _save_policy(folder, state, config, names, ppo)
+    _save_policy(folder, state, config, names, world.scene.robot.identity)
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
         evaluate_run(folder, config, world, held_out, console)
@@ -187,7 +188,9 @@ def _discard_run(folder: Path) -> None:
         folder.rmdir()
 
 
-def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:
+def _made_handoffs(
+    config: TrainConfig, robot: RobotSpec, folder: Path, console: Console
+) -> HandoffSet:
     """The set in the run's folder, made now if it is not there yet."""
     path = folder / "handoffs.npz"
     if not path.exists():
@@ -204,7 +207,7 @@ def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> Hando
                 out=path,
             )
         )
-    return load_handoffs(path)
+    return load_handoffs(path, robot=robot)
 
 
 def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
@@ -215,12 +218,17 @@ def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
 
 
 def _save_policy(
-    folder: Path, state: TrainState, config: TrainConfig, names: list[str], ppo: PPOConfig
+    folder: Path,
+    state: TrainState,
+    config: TrainConfig,
+    names: list[str],
+    robot: RobotIdentity,
 ) -> None:
     meta = {
         "task": to_record(config.task),
         "objects": names,
-        "env_steps": int(state.iteration) * ppo.steps_per_iteration,
+        "env_steps": int(state.iteration) * config.ppo.steps_per_iteration,
         "provenance": read_json(folder / "provenance.json", "the provenance of the run"),
     }
-    policy_from_training(state.params.policy, state.normalizer, meta).save(folder / "policy.npz")
+    policy = policy_from_training(state.params.policy, state.normalizer, meta, robot)
+    policy.save(folder / "policy.npz")

@@ -28,75 +28,71 @@ _SEGMENT = 100
 
 
 class ReachRecord(NamedTuple):
-    """What is kept of each reach.
-
-    Attributes:
-        fine_time: ``[tolerances]`` least fine-adjustment timer when converged, [s]; inf if
-            it never was.
-        clock: ``[tolerances]`` time since the start then, [s].
-        near: Time since the start when the timer first ran, [s]; inf if it never did.
-        plans_left: Plans given up for another.
-        handoff_error: ``[3]`` tip frames to standoff targets at handoff, [m]; NaN without one.
-        handoff_contact: ``[3]`` tip frames to the contacts themselves, [m].
-        handoff_midpoint: Of midpoints, [m].
-        handoff_time: Since the start, [s].
-        start_distance: Of robot and object at the start, [m]; negative in contact.
-        been_clear: Whether they have been apart since.
-        object_distance: Least from when it was first clear, [m].
-        table_margin: Least height over what is asked for, [m].
-        finger_distance, arm_distance: Least of two fingers, and of the arm to itself, [m].
-        speed_ratio: Largest joint speed over its limit [-].
-        limit_excess: Farthest beyond a joint limit, [rad].
-        infeasible: Ticks without a solution.
-        ticks: Ticks until the end.
-        last_error: ``[3]`` tip errors at the end, [m].
-        last_object, last_table, last_finger: Distances at the end over what is asked for, [m].
-        q: ``[joints]`` at the end, [rad].
-        best_q: ``[joints]`` where the largest tip error was least, [rad].
-        best_error: That error, [m].
-    """
+    """What is kept of each reach."""
 
     fine_time: Float[Array, " tolerances"]
+    """by tolerance: least fine-adjustment timer when converged, inf if it never was [s]"""
     clock: Float[Array, " tolerances"]
+    """by tolerance: time since the start then [s]"""
     near: Float[Array, ""]
+    """time since the start when the timer first ran, inf if it never did [s]"""
     plans_left: Int[Array, ""]
+    """plans given up for another"""
     handoff_error: Float[Array, " 3"]
+    """tip frames to standoff targets at handoff, NaN without one [m]"""
     handoff_contact: Float[Array, " 3"]
+    """tip frames to the contacts themselves [m]"""
     handoff_midpoint: Float[Array, ""]
+    """of midpoints [m]"""
     handoff_time: Float[Array, ""]
+    """since the start [s]"""
     start_distance: Float[Array, ""]
+    """of robot and object at the start, negative in contact [m]"""
     been_clear: Bool[Array, ""]
+    """whether they have been apart since"""
     object_distance: Float[Array, ""]
+    """least from when it was first clear [m]"""
     table_margin: Float[Array, ""]
+    """least height over what is asked for [m]"""
     finger_distance: Float[Array, ""]
+    """least of two fingers [m]"""
     arm_distance: Float[Array, ""]
+    """least of the arm to itself [m]"""
     speed_ratio: Float[Array, ""]
+    """largest joint speed over its limit [-]"""
     limit_excess: Float[Array, ""]
+    """farthest beyond a joint limit [rad]"""
     infeasible: Int[Array, ""]
+    """ticks without a solution"""
     ticks: Int[Array, ""]
+    """ticks until the end"""
     last_error: Float[Array, " 3"]
+    """tip errors at the end [m]"""
     last_object: Float[Array, ""]
+    """of robot and object at the end, over what is asked for [m]"""
     last_table: Float[Array, ""]
+    """height above the table at the end, over what is asked for [m]"""
     last_finger: Float[Array, ""]
+    """of two fingers at the end, over what is asked for [m]"""
     q: Float[Array, " joints"]
+    """at the end [rad]"""
     best_q: Float[Array, " joints"]
+    """where the largest tip error was least [rad]"""
     best_error: Float[Array, ""]
+    """that error [m]"""
 
 
 class Problem(NamedTuple):
-    """One cylinder to reach for; world frame.
-
-    Attributes:
-        shape: The cylinder.
-        p_wo: ``[3]`` its centre, [m].
-        R_wo: ``[3, 3]`` its rotation.
-        plans: Ways to reach it, or None.
-    """
+    """One cylinder to reach for; world frame."""
 
     shape: Cylinder
+    """the cylinder"""
     p_wo: Float[Array, " 3"]
+    """its centre [m]"""
     R_wo: Float[Array, "3 3"]
+    """its rotation"""
     plans: Plans | None
+    """ways to reach it, or None"""
 
 
 def candidates_of(reacher: Reacher, shape: Cylinder) -> Candidates:

@@ -127,7 +127,9 @@ def measure(
 def main(config: EnginesConfig) -> None:
     """Measures, writes the file after each setting, prints the table."""
     scene = build_scene_of(config.objects, config.objects_dir, load_robot(), config.scene)
-    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir))
+    stored = load_handoffs(
+        config.handoffs or shipped_handoffs(config.objects_dir), robot=scene.robot
+    )
     names = [o.name for o in scene.objects]
     world = build_world(scene, stored.select(names), TaskConfig().control_dt)
     document = {

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,7 +27,6 @@ import tyro
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.reach.poses import draw_poses
-from mjx_grasp.evaluation.reach.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.evaluation.reach.sweep import plan_all
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.config import SolverConfig
@@ -37,6 +37,9 @@ from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reaching"))
+from problems import draw_problems, kkt_residuals, solution_errors
 
 _PERCENTILES = (50, 90, 99, 100)
 

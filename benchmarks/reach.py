@@ -39,7 +39,7 @@ from mjx_grasp.grasp import select, standoffs
 from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.presets import Preset, for_sweep, preset
+from mjx_grasp.reaching.presets import ReachPreset, for_sweep, preset
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.mjcf import robot_mjspec
@@ -252,7 +252,7 @@ def own_reaches(
 
 
 def plans_of(
-    settings: Preset, reacher: Reacher, poses: CylinderPoses, few: int
+    settings: ReachPreset, reacher: Reacher, poses: CylinderPoses, few: int
 ) -> tuple[Plans | None, float]:
     """Plans for a few of the poses, made one after another, and the seconds that took.
 

@@ -160,8 +160,9 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
 def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> dict[str, Any]:
     """The timings of one setting: of whole PPO iterations, and of the layers below if wanted."""
     task = TaskConfig()
-    scene = build_scene_of(config.objects, config.objects_dir, load_robot(), config.scene)
-    world = build_world(scene, load_handoffs(config.handoffs), task.control_dt)
+    robot = load_robot()
+    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
+    world = build_world(scene, load_handoffs(config.handoffs, robot=robot), task.control_dt)
     settings = PPOConfig(worlds=worlds, unroll=unroll)
     env = BraxTask(world.task("mjx", worlds, task), worlds)
 
@@ -291,9 +292,8 @@ def main(config: BenchmarkConfig) -> None:
     for (worlds, unroll), setting in sorted(pairs.items()):
         details.append(measure(config, worlds, unroll, layers=setting in config.settings))
         print(json.dumps(details[-1], indent=1), flush=True)
-        write_results(
-            config.out, throughput_rows(details), provenance(config.seed), details=details
-        )
+        rows, made = throughput_rows(details), provenance(config.seed)
+        write_results(config.out, rows, made, load_robot().identity, details=details)
 
 
 if __name__ == "__main__":

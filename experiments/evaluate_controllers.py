@@ -72,7 +72,7 @@ def main(config: ComparisonConfig) -> None:
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     robot = load_robot()
-    policy, stored = load_controller(file, robot), load_handoffs(handoffs)
+    policy, stored = load_controller(file, robot), load_handoffs(handoffs, robot=robot)
     made_of = {
         "settings": as_json(asdict(config)),
         "sha256": file_digests(policy=file, handoffs=handoffs),
@@ -105,7 +105,15 @@ def main(config: ComparisonConfig) -> None:
                 counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
             made = provenance(config.seed)
-            write_results(config.out, rows, made, not_eligible=without, **made_of, **counted)
+            write_results(
+                config.out,
+                rows,
+                made,
+                robot.identity,
+                not_eligible=without,
+                **made_of,
+                **counted,
+            )
         done = rows[-len(names) * (1 + len(config.squeeze_forces)) :]
         Console().print(success_table(done, scans=config.objects_dir is not None))
 

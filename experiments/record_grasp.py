@@ -22,7 +22,7 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 from mjx_grasp.training.after import best_grasp
-from mjx_grasp.viz.video import VideoConfig, render_in_subprocess
+from mjx_grasp.viz.rendering import VideoConfig, render_in_subprocess
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def main(config: RecordConfig) -> None:
     robot = load_robot()
     policy = load_controller(config.policy or asset_path("policy.npz"), robot)
     scene = build_scene_of([config.object], config.objects_dir, robot, SceneConfig())
-    stored = load_handoffs(shipped_handoffs(config.objects_dir))
+    stored = load_handoffs(shipped_handoffs(config.objects_dir), robot=robot)
     world = build_world(
         scene, states_of(stored, [config.object], "evaluation"), TaskConfig().control_dt
     )

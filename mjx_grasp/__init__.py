@@ -36,8 +36,8 @@ _PUBLIC = {
     "build_scene": "mjx_grasp.sim.scene",
     "MjxPhysics": "mjx_grasp.sim.mjx_engine",
     "NativePhysics": "mjx_grasp.sim.native",
-    "ClosingConfig": "mjx_grasp.closing.config",
-    "ClosingEnv": "mjx_grasp.tasks.closing",
+    "ClosingTaskConfig": "mjx_grasp.tasks.config",
+    "ClosingTask": "mjx_grasp.tasks.closing",
     "load_policy": "mjx_grasp.learning.policy",
 }
 

@@ -1,16 +1,21 @@
-"""What all commands share: errors without a traceback, and a progress bar."""
+"""What all commands share: an end without a traceback, and a progress bar.
+
+Importing this is cheap, and a command imports nothing else before `run_command` watches over it:
+Ctrl-C ends it quietly from its first tenth of a second on.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Callable
-from typing import NoReturn
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import TYPE_CHECKING, NoReturn
 
 from mjx_grasp.errors import MjxGraspError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
 
 
 def run_command(command: Callable[[], None]) -> None:
@@ -43,6 +48,14 @@ def counting_progress(console: Console | None, transient: bool = False) -> Progr
         console: Where it is shown.
         transient: Whether it goes when all is done.
     """
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

@@ -24,13 +24,15 @@ if os.environ["JAX_PLATFORMS"] == "cpu":
     os.environ.setdefault("XLA_FLAGS", flags)
 
 # Before anything of the package is imported. Modules whose functions are called with arrays of
-# JAX alone; `tasks.closing` is left out, for its engine is a protocol that cannot be checked.
+# JAX alone.
 CHECKED = (
-    *(f"mjx_grasp.closing.{name}" for name in ("control", "guidance", "observer", "stages")),
-    *(f"mjx_grasp.tasks.{name}" for name in ("observation", "rewards", "starts", "success")),
+    *(f"mjx_grasp.closing.{n}" for n in ("closer", "control", "guidance", "observer", "stages")),
+    *(f"mjx_grasp.tasks.{n}" for n in ("closing", "observation", "rewards", "starts", "success")),
     "mjx_grasp.evaluation.trials",
     "mjx_grasp.geometry.linear",
+    "mjx_grasp.learning.brax_env",
     "mjx_grasp.learning.policy",
+    "mjx_grasp.robot.interface",
     *(f"mjx_grasp.posture.{name}" for name in ("body", "clearances", "cover", "draw", "ik")),
     *(f"mjx_grasp.posture.{name}" for name in ("library", "surroundings")),
     "mjx_grasp.handoff.attempts",

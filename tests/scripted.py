@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mjx_grasp.sim.physics import Readings
+from mjx_grasp.robot.interface import Measured
+from mjx_grasp.sim.physics import Truth
 
 
 class ScriptedState(NamedTuple):
@@ -15,8 +16,15 @@ class ScriptedState(NamedTuple):
     ctrl: jax.Array
 
 
+class Script(NamedTuple):
+    """What an engine is to report [t, w, ...]; numpy, to be changed."""
+
+    measured: Measured
+    truth: Truth
+
+
 class ScriptedPhysics:
-    """Reports `script` [t, w, ...] tick by tick; a reset world starts it again."""
+    """Reports a script tick by tick; a reset world starts it again."""
 
     def __init__(self, scene, script, substeps=5):
         self.scene, self.substeps = scene, substeps
@@ -34,9 +42,9 @@ class ScriptedPhysics:
 
     def step(self, state, params, ctrl):
         worlds = jnp.arange(len(state.tick))
-        last = self.script.q.shape[0] - 1
-        readings = jax.tree.map(lambda x: x[jnp.minimum(state.tick, last), worlds], self.script)
-        return ScriptedState(state.tick + 1, state.qpos, ctrl), readings
+        last = len(self.script.measured.q) - 1
+        now = jax.tree.map(lambda x: x[jnp.minimum(state.tick, last), worlds], self.script)
+        return ScriptedState(state.tick + 1, state.qpos, ctrl), *now
 
     def pack(self, state):
         return state._asdict()
@@ -46,12 +54,12 @@ class ScriptedPhysics:
 
 
 def still(starts, rows, ticks):
-    """A script [t, w, ...] of worlds in which nothing ever moves; numpy, to be changed."""
+    """A script of worlds in which nothing ever moves."""
 
     def repeat(x):
         return np.repeat(np.asarray(x)[None, np.asarray(rows)], ticks, axis=0).copy()
 
-    return Readings(*(repeat(x) for x in starts.readings))
+    return Script(*jax.tree.map(repeat, (starts.measured, starts.truth)))
 
 
 def draw_of(rows, offset=0.0):

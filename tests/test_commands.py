@@ -140,7 +140,7 @@ def test_evaluate_refuses_before_anything_long(trained, tmp_path, monkeypatch, c
 def test_presets_differ_as_they_say(monkeypatch):
     paper = preset_config("paper")
     assert (paper.ppo.worlds, paper.ppo.unroll, paper.ppo.iterations) == (1024, 64, 470)
-    assert paper.task.residual == "integrated"
+    assert paper.task.action.residual == "integrated"
     assert not paper.ppo.privileged_critic
     assert paper.ppo.iterations * paper.ppo.steps_per_iteration == 30_801_920
     cpu = preset_config("cpu")
@@ -186,10 +186,10 @@ def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monke
     keep = {
         "build_scene_of": lambda *_: scene,
         "build_world": lambda scene, states, task: seen.setdefault("training", states) and world,
-        "evaluate_and_report": lambda *given: seen.setdefault("evaluation", given[3]),
+        "evaluate_run": lambda *given: seen.setdefault("evaluation", given[3]),
     }
-    world = SimpleNamespace(scene=scene, env=lambda *_: None)
-    skipped = ("BraxClosingEnv", "init_state", "train_loop", "_save_policy")
+    world = SimpleNamespace(scene=scene, task=lambda *_: None)
+    skipped = ("BraxTask", "init_state", "train_loop", "_save_policy")
     for name, instead in (keep | {name: lambda *_: None for name in skipped}).items():
         monkeypatch.setattr(job, name, instead)
     asked = replace(
@@ -220,7 +220,6 @@ def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
     bowl = replace(config, objects=("bowl",), handoffs=asset_path("handoffs_standins.npz"))
     refused(bowl, match="--objects: found 'bowl'")
     monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
-    refused(replace(config, handoffs_per_object=0), match="per_object")
     monkeypatch.setitem(sys.modules, "wandb", None)
     project = replace(config, loop=LoopConfig(wandb_project="foo"))
     refused(project, match=r"--loop\.wandb-project.*mjx_grasp\[wandb\]")

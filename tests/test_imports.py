@@ -76,7 +76,7 @@ def test_imports_follow_the_order():
         ("handoff.make", "import mjx_grasp.handoffs as command", "handoffs"),
         ("handoff", "def f():\n    from mjx_grasp.tasks import closing", "tasks.closing"),
         ("robot.spec", "from mjx_grasp.evaluation import results", "evaluation.results"),
-        ("robot.spec", "from mjx_grasp import ClosingEnv", ""),
+        ("robot.spec", "from mjx_grasp import ClosingTask", ""),
         ("cli", "from mjx_grasp.robot.spec import load_robot", "robot.spec"),
         ("train", "from mjx_grasp.evaluate import main", "evaluate"),
     ],

@@ -16,7 +16,11 @@ PACKAGE = ROOT / "mjx_grasp"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 COMMANDS = [p for p in SOURCES if '__name__ == "__main__"' in p.read_text()]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-README = (ROOT / "README.md").read_text()
+GENERATED = re.compile(r"<!-- generated:([\w-]+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
+DOCUMENTS = "\n".join(
+    GENERATED.sub("", (ROOT / name).read_text())  # results keep the commands of their time
+    for name in ("README.md", "CONTRIBUTING.md", "docs/using.md", "experiments/README.md")
+)
 EXTRAS = PROJECT["optional-dependencies"]
 
 
@@ -109,12 +113,12 @@ def test_every_command_explains_itself(path):
 
 
 def shown_options(module: str) -> set[str]:
-    """The flags that the README gives to a command."""
-    calls = re.findall(rf"python -m {re.escape(module)} ([^#`\n]*)", README)
+    """The flags that the documents give to a command."""
+    calls = re.findall(rf"python -m {re.escape(module)} ([^#`\n]*)", DOCUMENTS)
     return {option for call in calls for option in re.findall(r"--[a-z][\w.-]*", call)}
 
 
-def test_the_readme_shows_flags():
+def test_the_documents_show_flags():
     assert shown_options("mjx_grasp.evaluate") >= {"--controller", "--objects", "--out"}
     assert shown_options("mjx_grasp.train") >= {"--preset", "--resume"}
 

@@ -13,5 +13,5 @@ def test_public_name_exists(name: str) -> None:
 
 
 def test_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'grasp'"):
-        _ = mjx_grasp.grasp
+    with pytest.raises(AttributeError, match="no attribute 'catch'"):
+        _ = mjx_grasp.catch

@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from test_imports import ORDER
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.reaching import Outcome
+from mjx_grasp.reaching import ReachOutcome
 
 ROOT = Path(__file__).resolve().parent.parent
 PROVENANCE = {
@@ -22,8 +23,10 @@ PROVENANCE = {
     "seed": 7,
 }
 ALONE = "python -m mjx_grasp.evaluate"
-
-
+DOCUMENTS = [
+    ROOT / name
+    for name in ("README.md", "CONTRIBUTING.md", "docs/using.md", "experiments/README.md")
+]
 GENERATED = re.compile(r"<!-- generated:([\w-]+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
 
 
@@ -74,11 +77,15 @@ def test_the_readmes_of_this_repository_are_up_to_date():
 def test_the_readmes_show_what_the_files_hold(root):
     run(root)
     main = (root / "README.md").read_text()
-    for text in ("95.3 (", "4.2 / 9.0", "123,456", "7.5"):
-        assert text in main
+    assert "1 object (parametric stand-ins), 64 trials each in native MuJoCo, ±5 mm" in main
+    assert "| policy | 95.3 | 4.2 |" in main
+    assert "publication: policy" not in main, "of one object its means say nothing"
     detail = (root / "experiments" / "README.md").read_text()
     for text in (
-        "89.1 (",
+        "| policy | 95.3 (87–98), 4.2 N | 89.1 (79–95), 4.2 N |",
+        "4.2 / 9.0",
+        "123,456",
+        "7.5",
         "results/five.json",
         "results/other.json",
         "0123456789ab-dirty",
@@ -136,8 +143,11 @@ def test_the_stages_before_closing_have_their_tables(root):
     made["rows"].append(untrained | {"successes": 20, "never_lifted": 44, "ci95": [20.0, 44.0]})
     made |= {"make_train": first, "label": "policy, preset cpu", "untrained_n": 1.0}
     (results / "make_train_cpu.json").write_text(json.dumps(made))
+    sets = {"provenance": PROVENANCE, "earlier": [PROVENANCE | {"command": "the first of two"}]}
+    sets |= {"objects": [{"eligible": True, "kept": 1234}, {"eligible": False, "kept": 0}]}
+    (results / "handoffs_scans.json").write_text(json.dumps(sets | {"not_eligible": ["golf_ball"]}))
     run(root)
-    main = (root / "README.md").read_text()
+    detail = (root / "experiments" / "README.md").read_text()
     for text in (
         "91.2 / 78.3",
         "97.5 %",
@@ -147,9 +157,10 @@ def test_the_stages_before_closing_have_their_tables(root):
         "6.5 ± 2.5 (paper 8.7",
         "1,234 reaches",
         "10.3 mm on any tick (10 mm are asked",
+        "1,234 states of 1 object; no pre-grasp was found for golf ball. Made in 2 steps",
+        "1. `the first of two` at 0123456789ab-dirty on a card, JAX 0.10.2\n2. `python -m",
     ):
-        assert text in main
-    detail = (root / "experiments" / "README.md").read_text()
+        assert text in detail
     assert "| mug | by the handle | 51 | 18 |" in detail
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
@@ -196,7 +207,7 @@ def test_stale_sections_fail_the_check_and_stay(root):
         run(root, check=True)
     assert (root / "README.md").read_text() == before
     run(root)
-    assert "93.8 (" in (root / "README.md").read_text()
+    assert "| policy | 93.8 |" in (root / "README.md").read_text()
 
 
 def test_what_is_written_by_hand_survives(root):
@@ -214,44 +225,74 @@ def test_a_readme_without_its_markers_is_refused(root):
         run(root)
 
 
-def test_no_number_of_a_result_is_written_by_hand():
-    for path in (ROOT / "README.md", ROOT / "experiments" / "README.md"):
-        text = GENERATED.sub("", path.read_text())
-        assert not re.search(r"\d\s*(%|N\b|steps/s|GiB|episodes)", text)
+def by_hand(path):
+    """What is not generated of a document."""
+    return GENERATED.sub("", path.read_text())
 
 
-def test_the_readmes_links_and_commands_exist():
-    text = (ROOT / "README.md").read_text()
-    for link in re.findall(r"\]\(([^)#]+)\)", text):
-        if not link.startswith("http"):
-            assert (ROOT / link).exists(), link
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_no_number_of_a_result_is_written_by_hand(path):
+    assert not re.search(r"\d\s*(%|N\b|steps/s|GiB|episodes)", by_hand(path))
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_links_and_commands_exist(path):
+    text = path.read_text()
+    for link in re.findall(r"\]\(([^)]+)\)", text):
+        if link.startswith("#"):
+            heads = re.findall(r"^#+ (.*)", text, re.M)
+            assert link[1:] in {head.lower().replace(" ", "-") for head in heads}, link
+        elif not link.startswith("http"):
+            assert (path.parent / link).exists(), link
     for module in re.findall(r"python -m (mjx_grasp[\w.]*)", text):
         assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+    for script in re.findall(r"python ((?:experiments|benchmarks)/\S+\.py)", text):
+        assert (ROOT / script).is_file(), script
     makefile = (ROOT / "Makefile").read_text()
-    targets = re.findall(r"(?:^|`)make ([a-z-]+)", text, re.M)
-    assert {"train", "test", "setup"} <= set(targets)
-    for target in targets:
+    for target in re.findall(r"(?:^|`)make ([a-z-]+)", text, re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
 
 
-def test_the_readmes_picture_is_small():
-    assert "](docs/grasp.gif)" in (ROOT / "README.md").read_text()
-    assert 0 < (ROOT / "docs" / "grasp.gif").stat().st_size <= 2e6
+def test_the_readme_opens_with_the_two_commands():
+    targets = re.findall(r"^make ([a-z-]+)", (ROOT / "README.md").read_text(), re.M)
+    assert targets == ["train", "test"]
 
 
-def examples():
-    return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+def test_every_picture_is_shown_somewhere_and_small():
+    shown = {
+        (path.parent / name).resolve()
+        for path in DOCUMENTS
+        for name in re.findall(r"!\[[^]]+\]\(([^)]+)\)", path.read_text())
+    }
+    pictures = [p for p in (ROOT / "docs").iterdir() if p.suffix in (".png", ".gif")]
+    assert set(pictures) == shown
+    for picture in pictures:
+        most = 2_000_000 if picture.suffix == ".gif" else 600_000
+        assert 0 < picture.stat().st_size <= most, picture
+
+
+def test_the_map_shows_the_packages_in_their_order():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    shown = re.findall(r"^\| `(\w+)` \|", text, re.M)
+    packages = {p.parent.name for p in (ROOT / "mjx_grasp").glob("*/__init__.py")}
+    assert shown == [name for name in ORDER if name in packages]
+
+
+def example(path):
+    """The only Python example of a document."""
+    (code,) = re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+    names: dict = {}
+    exec(compile(code, str(path), "exec"), names)
+    return names
 
 
 def test_the_heatmap_example_runs_as_it_stands():
-    names: dict = {}
-    exec(compile(examples()[0], "README.md", "exec"), names)
+    names = example(ROOT / "README.md")
     assert names["scores"].shape == (1000, len(names["mesh"].vertices))
     assert names["scores"].max() > 0
 
 
 def test_the_reaching_example_runs_as_it_stands():
-    names: dict = {}
-    exec(compile(examples()[1], "README.md", "exec"), names)
-    assert Outcome(int(names["state"].outcome)) is Outcome.HANDOFF
+    names = example(ROOT / "docs" / "using.md")
+    assert ReachOutcome(int(names["state"].outcome)) is ReachOutcome.HANDOFF
     assert names["done"].report.error.max() < 0.01

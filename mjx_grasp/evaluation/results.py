@@ -13,7 +13,9 @@ import numpy as np
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.atomic import read_json, replacing
+from mjx_grasp.records.settings import from_record, to_record
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
@@ -125,10 +127,17 @@ class Results(Generic[Row]):
     """`command`, `git`, `versions`, `device`, `seed`."""
     extra: dict[str, Any]
     """Whatever else the writer recorded."""
+    robot: RobotIdentity = FIRST_ROBOT
+    """Whose results these are."""
 
 
 def write_results(
-    path: str | Path, rows: Sequence[Row], provenance: dict[str, Any], **extra: Any
+    path: str | Path,
+    rows: Sequence[Row],
+    provenance: dict[str, Any],
+    robot: RobotIdentity,
+    /,
+    **extra: Any,
 ) -> None:
     """Writes rows of one kind and their provenance as JSON, complete or not at all.
 
@@ -136,6 +145,7 @@ def write_results(
         path: The file.
         rows: At least one row; all of the same class.
         provenance: From `mjx_grasp.records.provenance.provenance`.
+        robot: Whose results these are.
         **extra: Further top-level entries. `label` names the policy in tables.
 
     Raises:
@@ -148,6 +158,7 @@ def write_results(
         raise InputError("provenance", f"no {', '.join(missing)}", ", ".join(PROVENANCE_KEYS))
     document = {
         "schema": SCHEMAS[type(rows[0])],
+        "robot": to_record(robot),
         **extra,
         "rows": [asdict(r) for r in rows],
         "provenance": provenance,
@@ -168,7 +179,7 @@ def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:
         FileError: It is missing, no JSON, of another schema, or has rows that contradict
             themselves.
     """
-    document = _document(path)
+    document = read_json(path, "a results file")
     if document.get("schema") != SCHEMAS[kind]:
         raise FileError(path, f"schema {document.get('schema')!r}", f"schema {SCHEMAS[kind]!r}")
     rows, provenance = document.get("rows"), document.get("provenance")
@@ -176,8 +187,14 @@ def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:
         raise FileError(path, "no rows", "a list of rows")
     if not isinstance(provenance, dict) or not set(PROVENANCE_KEYS) <= set(provenance):
         raise FileError(path, "no whole provenance", f"entries {', '.join(PROVENANCE_KEYS)}")
-    extra = {k: v for k, v in document.items() if k not in ("schema", "rows", "provenance")}
-    return Results(tuple(_row(path, i, r, kind) for i, r in enumerate(rows)), provenance, extra)
+    try:
+        robot = from_record(RobotIdentity, document.get("robot", to_record(FIRST_ROBOT)), "robot")
+    except InputError as error:
+        raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
+    own = ("schema", "robot", "rows", "provenance")
+    extra = {k: v for k, v in document.items() if k not in own}
+    found = tuple(_row(path, i, r, kind) for i, r in enumerate(rows))
+    return Results(found, provenance, extra, robot)
 
 
 def schema_of(path: str | Path) -> str | None:
@@ -186,7 +203,7 @@ def schema_of(path: str | Path) -> str | None:
     Raises:
         FileError: The file is missing or no JSON object.
     """
-    return _document(path).get("schema")
+    return read_json(path, "a results file").get("schema")
 
 
 def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]:
@@ -197,18 +214,6 @@ def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]
         np.array([getattr(r, n) for r in rows]) for n in ("successes", "episodes")
     )
     return float(np.mean(100.0 * successes / episodes)), mean_rate_interval(successes, episodes)
-
-
-def _document(path: str | Path) -> dict[str, Any]:
-    try:
-        document = json.loads(Path(path).read_text())
-    except OSError as error:
-        raise FileError(path, error.strerror or "an unreadable file", "a results file") from None
-    except ValueError as error:
-        raise FileError(path, f"no JSON ({error})", "a results file") from None
-    if not isinstance(document, dict):
-        raise FileError(path, f"a JSON {type(document).__name__}", "a JSON object")
-    return document
 
 
 def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:

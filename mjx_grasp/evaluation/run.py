@@ -25,6 +25,7 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.robot.identity import check_robot
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.assemble import TaskConfig, World
 from mjx_grasp.tasks.config import task_from_record
@@ -57,6 +58,7 @@ def load_controller(path: Path, robot: RobotSpec) -> Policy:
         FileError: It is unreadable, or of another robot or task.
     """
     policy = load_policy(path)
+    check_robot(path, policy.robot, robot.identity)
     try:
         policy_task(policy)
     except InputError as error:

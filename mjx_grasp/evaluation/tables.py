@@ -224,25 +224,6 @@ def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
     return Table(f"Failures: {_title_of(condition, columns)}", header, tuple(rows))
 
 
-def summary_table(groups: Groups) -> Table:
-    """One line per condition and controller: mean success and force."""
-    rows = []
-    for condition, columns in groups.items():
-        for column in columns:
-            mean, force = column.forces()
-            rows.append(
-                (
-                    f"{condition.text()}, {len(condition.objects)} objects",
-                    column.label,
-                    _rate(*column.mean()),
-                    _force(mean),
-                    _force(force),
-                )
-            )
-    header = ("condition", "controller", "mean success %", "mean force N", "peak force N")
-    return Table("All conditions", header, tuple(rows), names=2)
-
-
 def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     """Speed and memory against worlds, device by device."""
     rows = []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,15 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.archive import ArchiveKind, Arrays, Header, read_archive, write_archive
+from mjx_grasp.records.settings import Positive, Settings
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 if TYPE_CHECKING:
     import mujoco
 
     from mjx_grasp.sim.scene import Scene
-
-SCHEMA = "mjx_grasp.trajectory/1"
-_FIELDS = ("schema", "model", "mujoco_version", "qpos", "dt", "focus")
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,10 @@ class Trajectory:
     """Time between two poses [s]."""
     focus: str
     """The body that a camera should follow."""
+    robot: RobotIdentity | None = None
+    """The robot that moves; None if there is none."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.qpos.ndim != 2 or not self.qpos.size or not np.isfinite(self.qpos).all():
             raise InputError("Trajectory.qpos", self.qpos.shape, "finite numbers of shape [t, nq]")
         if not (np.isfinite(self.dt) and self.dt > 0):
@@ -50,7 +49,11 @@ class Trajectory:
 
 
 def record(
-    model: mujoco.MjModel, qpos: Float[np.ndarray, "t nq"], dt: float, focus: str = "object"
+    model: mujoco.MjModel,
+    qpos: Float[np.ndarray, "t nq"],
+    dt: float,
+    focus: str = "object",
+    robot: RobotIdentity | None = None,
 ) -> Trajectory:
     """A trajectory of a compiled model.
 
@@ -59,6 +62,7 @@ def record(
         qpos: One pose per time.
         dt: Time between two poses [s].
         focus: Name of the body that a camera should follow.
+        robot: The robot of the model.
 
     Raises:
         InputError: The poses do not fit the model, or it has no such body.
@@ -73,7 +77,7 @@ def record(
         raise InputError("focus", focus, f"one of the bodies {', '.join(n for n in names if n)}")
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
-    return Trajectory(buffer.tobytes(), mujoco.__version__, qpos, float(dt), focus)
+    return Trajectory(buffer.tobytes(), mujoco.__version__, qpos, float(dt), focus, robot)
 
 
 def record_world(
@@ -98,21 +102,14 @@ def record_world(
     pieces = scene.addresses.object_geoms
     own = np.array([model.geom(g).name.rpartition("_")[0] == object_name for g in pieces])
     model.geom_rgba[pieces[~own], 3] = 0.0
-    return record(model, qpos, dt)
+    return record(model, qpos, dt, robot=scene.robot.identity)
 
 
 def save_trajectory(path: str | Path, trajectory: Trajectory) -> None:
-    """Writes a trajectory as a compressed npz file, complete or not at all."""
-    with replacing(path) as temporary, open(temporary, "wb") as stream:
-        np.savez_compressed(
-            stream,
-            schema=SCHEMA,
-            model=np.frombuffer(trajectory.model, np.uint8),
-            mujoco_version=trajectory.mujoco_version,
-            qpos=trajectory.qpos,
-            dt=trajectory.dt,
-            focus=trajectory.focus,
-        )
+    """Writes a trajectory as an archive, complete or not at all."""
+    header = _Header(trajectory.mujoco_version, trajectory.dt, trajectory.focus, trajectory.robot)
+    model = np.frombuffer(trajectory.model, np.uint8)
+    write_archive(path, _KIND, header, {"model": model, "qpos": trajectory.qpos})
 
 
 def load_trajectory(path: str | Path) -> Trajectory:
@@ -121,28 +118,35 @@ def load_trajectory(path: str | Path) -> Trajectory:
     Raises:
         FileError: The file is missing, damaged, or no trajectory.
     """
-    expected = "a trajectory written by mjx_grasp.evaluation.trajectory"
-    try:
-        content = io.BytesIO(Path(path).read_bytes())
-    except OSError as error:
-        raise FileError(path, error.strerror or "an unreadable file", expected) from None
-    try:
-        with np.load(content, allow_pickle=False) as file:
-            missing = [name for name in _FIELDS if name not in file]
-            fields = {name: file[name] for name in _FIELDS if name in file}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError, TypeError):
-        raise FileError(path, "no readable npz archive", expected) from None
-    if missing:
-        raise FileError(path, f"no field {', '.join(missing)}", expected)
-    if str(fields["schema"]) != SCHEMA:
-        raise FileError(path, f"schema {str(fields['schema'])!r}", f"schema {SCHEMA!r}")
-    try:
-        return Trajectory(
-            model=np.asarray(fields["model"], np.uint8).tobytes(),
-            mujoco_version=str(fields["mujoco_version"]),
-            qpos=np.asarray(fields["qpos"], float),
-            dt=float(fields["dt"]),
-            focus=str(fields["focus"]),
-        )
-    except (InputError, ValueError, TypeError) as error:
-        raise FileError(path, str(error), expected) from None
+    header, arrays = read_archive(path, _KIND)
+    return Trajectory(model=arrays["model"].tobytes(), qpos=arrays["qpos"], **vars(header))
+
+
+@dataclass(frozen=True)
+class _Header(Settings):
+    mujoco_version: str
+    dt: Positive
+    focus: str
+    robot: RobotIdentity | None = FIRST_ROBOT
+    """Absent in version 1."""
+
+
+def _check(path: Path, header: _Header, arrays: Arrays) -> None:
+    if not arrays["qpos"].size:
+        raise FileError(path, f"qpos {arrays['qpos'].shape}", "one pose or more")
+
+
+def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """Without header and checksum."""
+    fields = {name: arrays[name].item() for name in ("mujoco_version", "dt", "focus")}
+    return fields, {name: arrays[name] for name in ("model", "qpos")}
+
+
+_KIND = ArchiveKind(
+    format="mjx_grasp trajectory",
+    version=2,
+    header=_Header,
+    arrays={"model": "uint8 bytes", "qpos": "float64 t nq"},
+    check=_check,
+    older={1: _from_version_1},
+)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.mesh import is_closed
 from mjx_grasp.geometry.signed_distance import DistanceField
 
 
@@ -96,7 +97,7 @@ def _sampled(
         support_winding_number=True,
     )
     values = wp.empty(tuple(shape), dtype=wp.float32, device=device())
-    known = [mesh.id, is_closed(vertices, faces), wp.vec3(*low), spacing, farthest]
+    known = [mesh.id, is_closed(faces, vertices), wp.vec3(*low), spacing, farthest]
 
     def rows(part: np.ndarray) -> None:
         inputs = [*known, int(part[0]), values]
@@ -107,19 +108,3 @@ def _sampled(
     in_threads(rows, np.array_split(np.arange(shape[0]), parts))
     f32 = jnp.float32
     return DistanceField(jnp.asarray(values.numpy()), jnp.asarray(low, f32), f32(spacing))
-
-
-def is_closed(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> bool:
-    """Whether a surface has no boundary, so that it winds around every point a whole number of
-    times and this number changes only across it.
-
-    Args:
-        vertices: Those at the same place count as one.
-        faces: Indices; each edge has to be run along as often one way as the other.
-    """
-    _, place = np.unique(vertices, axis=0, return_inverse=True)
-    edges = place.reshape(-1)[faces[:, [0, 1, 1, 2, 2, 0]]].reshape(-1, 2)
-    one, other = edges.min(axis=1), edges.max(axis=1)
-    _, edge = np.unique(one * (place.max() + 1) + other, return_inverse=True)
-    ways = np.bincount(edge.reshape(-1), weights=np.sign(edges[:, 1] - edges[:, 0]))
-    return not ways.any()

@@ -2,8 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def full_precision(function: Callable[P, R]) -> Callable[P, R]:
+    """A function whose products of matrices no accelerator rounds to TF32."""
+
+    @wraps(function)
+    def exact(*args: P.args, **kwargs: P.kwargs) -> R:
+        with jax.default_matmul_precision("highest"):
+            return function(*args, **kwargs)
+
+    return exact
 
 
 def solve_spd(a: Float[Array, "*b n n"], rhs: Float[Array, "*b n"]) -> Float[Array, "*b n"]:

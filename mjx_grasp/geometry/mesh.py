@@ -45,19 +45,16 @@ class Triangles(NamedTuple):
     cross: np.ndarray
 
 
-class MassProperties(NamedTuple):
-    """Uniform-density properties of a mesh.
+class PrincipalFrame(NamedTuple):
+    """How the mass of a mesh of uniform density is spread."""
 
-    Attributes:
-        centre: ``[3]`` centre of mass in [m], mesh frame.
-        axes: ``[3, 3]`` unit principal axes as rows, the longest extent (least inertia) first; of
-            equal extents the axis nearest to x, then y, then z first.
-        closed: Whether the mesh bounds a volume; of an open one the surface is taken.
-    """
-
-    centre: np.ndarray
-    axes: np.ndarray
+    centre: Float[np.ndarray, " 3"]
+    """centre of mass, mesh frame [m]"""
+    axes: Float[np.ndarray, "3 3"]
+    """unit principal axes as rows, the longest extent (least inertia) first; of equal extents the
+    axis nearest to x, then y, then z first"""
     closed: bool
+    """whether the mesh bounds a volume; of an open one the surface is taken"""
 
 
 def triangles_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Triangles:
@@ -141,17 +138,30 @@ def interpolate_normals(
     return unit(corners[..., 0, :] + corners[..., 1, :] + corners[..., 2, :])
 
 
-def is_closed(faces: Int[np.ndarray, "f 3"]) -> bool:
-    """Whether every edge is shared by as many faces in one direction as in the other."""
+def is_closed(
+    faces: Int[np.ndarray, "f 3"], vertices: Float[np.ndarray, "v 3"] | None = None
+) -> bool:
+    """Whether every edge is run along by as many faces in one direction as in the other.
+
+    Then the surface has no boundary: it winds around every point a whole number of times, and this
+    number changes only across it.
+
+    Args:
+        faces: Indices of vertices.
+        vertices: Those at the same place count as one; without them every index is its own place.
+    """
+    if vertices is not None:
+        _, place = np.unique(vertices, axis=0, return_inverse=True)
+        faces = place.reshape(-1)[faces]
     count = int(faces.max(initial=0)) + 1
     tail = faces.T.ravel().astype(np.int32 if count**2 < 2**31 else np.int64)
     head = np.roll(tail, -len(faces))
     return np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail))
 
 
-def mass_properties(
+def principal_frame(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
-) -> MassProperties:
+) -> PrincipalFrame:
     """Centre of mass and principal axes at uniform density (method §1, 2 and S_COM).
 
     A closed mesh is integrated over its volume (signed tetrahedra), an open one, or one without
@@ -160,14 +170,16 @@ def mass_properties(
     vertices = np.asarray(vertices, np.float64)
     low, high = bounds(vertices)
     origin = 0.5 * (low + high)
-    found = mass_about(triangles_of(vertices - origin, faces), faces, np.linalg.norm(high - low))
+    found = principal_frame_of(
+        triangles_of(vertices - origin, faces), faces, np.linalg.norm(high - low)
+    )
     return found._replace(centre=found.centre + origin)
 
 
-def mass_about(
+def principal_frame_of(
     triangles: Triangles, faces: Int[np.ndarray, "f 3"], diagonal: float | np.floating
-) -> MassProperties:
-    """:func:`mass_properties` of a mesh around the middle of its box, whose diagonal is in [m]."""
+) -> PrincipalFrame:
+    """:func:`principal_frame` of a mesh around the middle of its box, whose diagonal is in [m]."""
     a, b, c, cross = triangles
     volumes = dot_rows(a, cross) / 6.0
     closed = volumes.sum() > 1e-9 * diagonal**3 and is_closed(faces)
@@ -176,14 +188,14 @@ def mass_about(
     mass, k = (volumes, 4) if closed else (0.5 * np.sqrt(dot_rows(cross, cross)), 3)
     total = mass.sum()
     if not total > 0:
-        return MassProperties(np.zeros(3), np.eye(3), closed)
+        return PrincipalFrame(np.zeros(3), np.eye(3), closed)
     sums = a + b + c
     centre = sums @ mass / (k * total)
     points = np.concatenate([a, b, c, sums], axis=1)
     second = (np.tile(mass, 4) * points) @ points.T / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
-    return MassProperties(centre, axes, closed)
+    return PrincipalFrame(centre, axes, closed)
 
 
 def _settled(axes: np.ndarray, moments: np.ndarray) -> np.ndarray:

@@ -2,13 +2,13 @@
 
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates, from_heatmap
 from mjx_grasp.grasp.config import SelectionConfig, TargetConfig
-from mjx_grasp.grasp.select import Hand, SelectionState, select, start_selection
+from mjx_grasp.grasp.select import HandPose, SelectionState, select, start_selection
 from mjx_grasp.grasp.targets import NONE, Targets, admissible, standoffs, target_options
 
 __all__ = [
     "NONE",
     "Candidates",
-    "Hand",
+    "HandPose",
     "SelectionConfig",
     "SelectionState",
     "TargetConfig",

@@ -17,39 +17,32 @@ from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import NONE, Targets, admissible, latched_options, three_points
 
 
-class Hand(NamedTuple):
-    """The hand at one tick; world frame.
-
-    Attributes:
-        tips: ``[3, 3]`` tip frames of thumb, first and second wrap, [m].
-        approach: ``[3]`` unit approach direction of the palm.
-        opposing: ``[3]`` unit opposing axis of the palm.
-    """
+class HandPose(NamedTuple):
+    """The hand at one tick; world frame."""
 
     tips: Float[Array, "3 3"]
+    """tip frames of thumb, first and second wrap [m]"""
     approach: Float[Array, " 3"]
+    """unit approach direction of the palm"""
     opposing: Float[Array, " 3"]
+    """unit opposing axis of the palm"""
 
 
 class SelectionState(NamedTuple):
-    """What the selection remembers between ticks; object frame.
-
-    Attributes:
-        candidate: The running one, :data:`NONE` before the first.
-        spread: ``[3]`` unit direction from the second wrap's target to the first's; zero before
-            the first choice.
-        reach: ``[3]`` preference of the object axes x, y, z as the reach direction u; latched.
-        bias: ``[c]`` added to every candidate's cost, [m]; +inf rules one out.
-    """
+    """What the selection remembers between ticks; object frame."""
 
     candidate: Int[Array, ""]
+    """the running one, :data:`~mjx_grasp.grasp.targets.NONE` before the first"""
     spread: Float[Array, " 3"]
+    """unit direction from the second wrap's target to the first's, zero before the first choice"""
     reach: Float[Array, " 3"]
+    """preference of the object axes x, y, z as the reach direction u; latched"""
     bias: Float[Array, " c"]
+    """added to every candidate's cost, +inf rules one out [m]"""
 
 
 def start_selection(
-    candidates: Candidates, hand: Hand, R_wo: Float[Array, "3 3"]
+    candidates: Candidates, hand: HandPose, R_wo: Float[Array, "3 3"]
 ) -> SelectionState:
     """The state at the start of a trial: it latches the reach direction.
 
@@ -67,7 +60,7 @@ def start_selection(
 def select(
     candidates: Candidates,
     state: SelectionState,
-    hand: Hand,
+    hand: HandPose,
     p_wo: Float[Array, " 3"],
     R_wo: Float[Array, "3 3"],
     config: SelectionConfig,

@@ -7,20 +7,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.grasp.targets import TargetOptions, closest_axis, standoffs
 from mjx_grasp.handoff.config import PostureConfig
-from mjx_grasp.posture.body import PALM, Body
+from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.ik import TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, choose_starts
 from mjx_grasp.posture.surroundings import Surroundings
 
 # Pairs worked on at once: few enough for a processor's cache, many enough for an accelerator.
-_TILE = int(__import__("os").environ.get("TILE","32"))
+_TILE = 32
 
 
 class Pairs(NamedTuple):
@@ -28,11 +27,11 @@ class Pairs(NamedTuple):
 
     ways: TargetOptions
     """``[n, ways, …]`` to assign the tips"""
-    admissible: Bool[np.ndarray, "n ways"]
+    admissible: Bool[Array, "n ways"]
     """which of them may be used"""
-    p_wo: Float[np.ndarray, "n 3"]
+    p_wo: Float[Array, "n 3"]
     """object origin in world [m]"""
-    R_wo: Float[np.ndarray, "n 3 3"]
+    R_wo: Float[Array, "n 3 3"]
     """object rotation"""
 
 

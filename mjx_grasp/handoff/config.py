@@ -48,14 +48,18 @@ class PostureConfig(Settings):
     """points along each edge of the grid of distances to the object [-]"""
     tolerance: Positive = 0.005
     """a larger tip error rejects [m]"""
-    starts: StartConfig = StartConfig(
-        near=4096, count=4, direction_scale=0.05, chance=0.0, time_scale=0.0, overlap_weight=5.0
+    starts: StartConfig = field(
+        default_factory=lambda: StartConfig(
+            near=4096, count=4, direction_scale=0.05, chance=0.0, time_scale=0.0, overlap_weight=5.0
+        )
     )
     """where the solver starts"""
-    ik: IkConfig = IkConfig(idle_weight=None, clearance_weight=1.0)
+    ik: IkConfig = field(default_factory=lambda: IkConfig(idle_weight=None, clearance_weight=1.0))
     """the solver; fingers that take no part in a grasp stay as they are"""
-    clearances: ClearanceConfig = ClearanceConfig(
-        object=0.003, hand_table=0.003, arm_table=0.003, fingers=0.003, arm=0.003
+    clearances: ClearanceConfig = field(
+        default_factory=lambda: ClearanceConfig(
+            object=0.003, hand_table=0.003, arm_table=0.003, fingers=0.003, arm=0.003
+        )
     )
     """what the solver keeps apart; what is refused is for MuJoCo's collisions to say"""
 

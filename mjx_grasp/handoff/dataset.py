@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import jax
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.archive import ArchiveKind, Arrays, checked, read_archive, write_archive
+from mjx_grasp.records.settings import Settings
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
+    from mjx_grasp.robot.spec import RobotSpec
 
-FORMAT = "mjx_grasp handoff set"
-VERSION = 1
-KINDS = ("ik", "reached")
-
-# Of every array: the shape behind the leading dimension (None: any length), and the type.
-_SCHEMA: dict[str, tuple[tuple[int | None, ...], type]] = {
-    "object_index": ((), np.int32),
-    "object_pos": ((3,), np.float32),
-    "object_quat": ((4,), np.float32),
-    "q": ((None,), np.float32),
-    "target_pos": ((3, 3), np.float32),
-    "target_normal": ((3, 3), np.float32),
-    "score": ((), np.float32),
-    "residual": ((3,), np.float32),
+_ARRAYS = {
+    "object_index": "int32 n",
+    "object_pos": "float32 n 3",
+    "object_quat": "float32 n 4",
+    "q": "float32 n joints",
+    "target_pos": "float32 n 3 3",
+    "target_normal": "float32 n 3 3",
+    "score": "float32 n",
+    "residual": "float32 n 3",
 }
-_NAMES = ("object_names", "object_content_hash", "kind")
+_NAMES = ("object_names", "object_content_hash", "kind", "robot")
+_ROUNDING = 1e-3
+"""By how much unit vectors and scores may be off."""
+_HIGHEST_M, _FARTHEST_M = 2.0, 1.0
+"""The most that an object is above the table, and a target away from its object."""
+_BEYOND_LIMITS = 1e-3
+"""How far joints may be beyond their range [rad or m]."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=list(_SCHEMA), meta_fields=list(_NAMES))
+@partial(jax.tree_util.register_dataclass, data_fields=list(_ARRAYS), meta_fields=list(_NAMES))
 @dataclass(frozen=True)
 class HandoffSet:
     """Pre-grasp states; arrays have N states in front. World frame, SI units.
@@ -48,24 +51,36 @@ class HandoffSet:
     whose leaves are the arrays.
     """
 
-    object_index: Int[np.ndarray, " n"]  # into object_names
-    object_pos: Float[np.ndarray, "n 3"]  # object origin, m
-    object_quat: Float[np.ndarray, "n 4"]  # w-x-y-z
-    q: Float[np.ndarray, "n joints"]  # robot joints, model order, rad
-    target_pos: Float[np.ndarray, "n 3 3"]  # m
-    target_normal: Float[np.ndarray, "n 3 3"]  # outward unit normals
-    score: Float[np.ndarray, " n"]  # of the heatmap candidate
-    residual: Float[np.ndarray, "n 3"]  # distance of the tip frames from the standoff targets, m
+    object_index: Int[np.ndarray, " n"]
+    """Index into the names."""
+    object_pos: Float[np.ndarray, "n 3"]
+    """Object origin [m]."""
+    object_quat: Float[np.ndarray, "n 4"]
+    """w-x-y-z."""
+    q: Float[np.ndarray, "n joints"]
+    """Robot joints, model order [rad]."""
+    target_pos: Float[np.ndarray, "n 3 3"]
+    """Contacts [m]."""
+    target_normal: Float[np.ndarray, "n 3 3"]
+    """Outward unit normals there."""
+    score: Float[np.ndarray, " n"]
+    """Of the heatmap candidate."""
+    residual: Float[np.ndarray, "n 3"]
+    """Distance of the tip frames from the standoff targets [m]."""
     object_names: tuple[str, ...]
-    object_content_hash: tuple[str, ...]  # of the objects as they were when the states were made
-    kind: str  # 'ik', or 'reached': the end of the reaching controller
+    object_content_hash: tuple[str, ...]
+    """Of the objects as they were when the states were made."""
+    kind: str
+    """'ik', or 'reached': the end of the reaching controller."""
+    robot: RobotIdentity = FIRST_ROBOT
+    """Whose joints these are."""
 
     def __len__(self) -> int:
         return len(self.object_index)
 
     def take(self, which: Int[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> HandoffSet:
         """The states of these indices, or where a mask is true; names stay."""
-        return replace(self, **{name: getattr(self, name)[which] for name in _SCHEMA})
+        return replace(self, **{name: getattr(self, name)[which] for name in _ARRAYS})
 
     def select(self, names: Sequence[str]) -> HandoffSet:
         """The states of these objects alone; the set's names become these, in this order.
@@ -117,40 +132,36 @@ class HandoffSet:
         return self.take(~held), self.take(held)
 
     def save(self, path: str | Path) -> None:
-        """Writes the set as a compressed ``.npz`` with version and checksum, all or nothing."""
-        arrays: dict[str, np.ndarray] = {
-            name: np.ascontiguousarray(getattr(self, name), dtype)
-            for name, (_, dtype) in _SCHEMA.items()
-        }
-        header = {
-            "format": FORMAT,
-            "version": VERSION,
-            "object_names": list(self.object_names),
-            "object_content_hash": list(self.object_content_hash),
-            "kind": self.kind,
-        }
-        _check(path, arrays, header)
-        header["checksum"] = _checksum(arrays, header)
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
-            np.savez_compressed(file, **members)
+        """Writes the set as an archive, all or nothing.
+
+        Raises:
+            InputError: A name or the kind is impossible.
+            FileError: Arrays do not fit each other, or hold no such states.
+        """
+        header = _Header(*(getattr(self, name) for name in _NAMES))
+        write_archive(path, _KIND, header, {name: getattr(self, name) for name in _ARRAYS})
 
 
 def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
     """One set of all states; objects of the same name must have the same content.
 
+    The digest of the robot is known only if that of every set is.
+
     Raises:
-        InputError: No sets, different kinds, or an object that differs between them.
+        InputError: No sets, different kinds or robots, or an object that differs between them.
     """
     if not sets or len({s.kind for s in sets}) != 1:
         raise InputError("sets", [s.kind for s in sets], "one or more sets of the same kind")
+    robots = sorted({s.robot for s in sets}, key=lambda robot: robot.digest or "")
+    if not all(a.agrees(b) for a in robots for b in robots):
+        raise InputError("sets", [str(robot) for robot in robots], "states of one robot")
     hashes: dict[str, str] = {}
     for s in sets:
         for name, content in zip(s.object_names, s.object_content_hash, strict=True):
             if hashes.setdefault(name, content) != content:
                 raise InputError("sets", f"{name} with two contents", "the same object throughout")
     names = tuple(hashes)
-    arrays = {name: np.concatenate([getattr(s, name) for s in sets]) for name in _SCHEMA}
+    arrays = {name: np.concatenate([getattr(s, name) for s in sets]) for name in _ARRAYS}
     arrays["object_index"] = np.concatenate(
         [np.array([names.index(n) for n in s.object_names], np.int32)[s.object_index] for s in sets]
     )
@@ -159,84 +170,101 @@ def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
         object_names=names,
         object_content_hash=tuple(hashes.values()),
         kind=sets[0].kind,
+        robot=robots[0],
     )
 
 
-def load_handoffs(path: str | Path, objects: Sequence[ObjectModel] | None = None) -> HandoffSet:
+def load_handoffs(
+    path: str | Path,
+    objects: Sequence[ObjectModel] | None = None,
+    robot: RobotSpec | None = None,
+) -> HandoffSet:
     """Reads a handoff set and checks it.
 
     Args:
         path: File written by :meth:`HandoffSet.save`.
         objects: If given, the objects of these names must be the very ones of the file: states
             made for another mesh are worth nothing.
+        robot: If given, the states must be of this robot and within its joints' ranges.
 
     Raises:
-        FileError: Missing, damaged, foreign, of a newer version, or made for other objects.
+        FileError: Missing, damaged, foreign, of a newer version, with states that cannot be, or
+            made for other objects or another robot.
     """
-    path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            if not isinstance(header, dict) or header.get("format") != FORMAT:
-                raise FileError(path, "another kind of file", f"a {FORMAT}")
-            if header.get("version") != VERSION:
-                found = f"version {header.get('version')}"
-                raise FileError(path, found, f"version {VERSION}; newer ones need a newer package")
-            arrays = {name: file[name] for name in _SCHEMA}
-    except FileError:
-        raise
-    except FileNotFoundError:
-        raise FileError(path, "no file", f"a {FORMAT}") from None
-    except (KeyError, json.JSONDecodeError):
-        raise FileError(path, "another kind of file", f"a {FORMAT}") from None
-    except Exception as error:
-        # Depending on where it is damaged, reading a zip file raises nearly anything.
-        raise FileError(path, "a damaged or foreign file", f"a {FORMAT}") from error
-    if _checksum(arrays, header) != header.get("checksum"):
-        raise FileError(path, "content that does not match its checksum", "an undamaged file")
-    _check(path, arrays, header)
-    handoffs = HandoffSet(
-        **arrays,
-        object_names=tuple(header["object_names"]),
-        object_content_hash=tuple(header["object_content_hash"]),
-        kind=header["kind"],
-    )
+    header, arrays = read_archive(path, _KIND)
+    handoffs = HandoffSet(**arrays, **vars(header))
     known = dict(zip(handoffs.object_names, handoffs.object_content_hash, strict=True))
     for obj in objects or ():
         if known.get(obj.name, obj.content_hash) != obj.content_hash:
             raise FileError(path, f"states of another {obj.name}", "those of the mesh in use")
+    if robot is not None:
+        check_handoffs(path, handoffs, robot)
     return handoffs
 
 
-def _checksum(arrays: Mapping[str, np.ndarray], header: Mapping[str, object]) -> str:
-    """SHA-256 over all that the file says."""
-    digest = hashlib.sha256()
-    said = {key: header.get(key) for key in ("format", "version", *_NAMES)}
-    digest.update(json.dumps(said, sort_keys=True).encode())
-    for name in sorted(arrays):
-        array = arrays[name]
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+def check_handoffs(path: str | Path, handoffs: HandoffSet, robot: RobotSpec) -> None:
+    """Makes sure that the states of a file are a robot's.
+
+    Args:
+        path: The file.
+        handoffs: What it holds.
+        robot: The robot; which of its fingers are fixed does not matter.
+
+    Raises:
+        FileError: They are of another robot, or a joint is beyond its range.
+    """
+    check_robot(path, handoffs.robot, robot.identity)
+    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+    if handoffs.q.shape[1] != model.njnt:
+        found = f"states of {handoffs.q.shape[1]} joints"
+        raise FileError(path, found, f"{model.njnt}, those of {robot.name}")
+    low, high = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.inf, np.inf]).T
+    beyond = np.maximum(low - handoffs.q, handoffs.q - high) > _BEYOND_LIMITS
+    for state, joint in np.argwhere(beyond)[:1]:
+        found = f"{model.joint(joint).name} of state {state} at {handoffs.q[state, joint]:.4g}"
+        raise FileError(path, found, f"{low[joint]:.4g} to {high[joint]:.4g}")
 
 
-def _check(path: str | Path, arrays: Mapping[str, np.ndarray], header: Mapping) -> None:
-    """Shapes, finite numbers, indices and names that fit each other."""
-    count = len(arrays["object_index"])
-    for name, (tail, dtype) in _SCHEMA.items():
-        array = arrays[name]
-        fits = array.ndim == 1 + len(tail) and len(array) == count and array.dtype == dtype
-        if not fits or any(n not in (None, m) for n, m in zip(tail, array.shape[1:], strict=True)):
-            shape = (count, *("any" if n is None else n for n in tail))
-            raise FileError(
-                path, f"{name} {array.dtype} {array.shape}", f"{dtype.__name__} {shape}"
-            )
-        if not np.isfinite(array).all():
-            raise FileError(path, f"{name} with numbers that are not finite", "finite numbers")
-    names, index = header["object_names"], arrays["object_index"]
-    if len(names) != len(header["object_content_hash"]) or len(set(names)) != len(names):
+@dataclass(frozen=True)
+class _Header(Settings):
+    object_names: tuple[str, ...]
+    object_content_hash: tuple[str, ...]
+    kind: Literal["ik", "reached"]
+    robot: RobotIdentity = FIRST_ROBOT
+    """Absent in version 1."""
+
+
+def _check(path: Path, header: _Header, arrays: Arrays) -> None:
+    """Names and indices that fit each other, and states that can be."""
+    names, index = header.object_names, arrays["object_index"]
+    if len(names) != len(header.object_content_hash) or len(set(names)) != len(names):
         raise FileError(path, f"{len(names)} object names", "different names with a hash each")
-    if count and (index.min() < 0 or index.max() >= len(names)):
+    if len(index) and (index.min() < 0 or index.max() >= len(names)):
         raise FileError(path, f"object index up to {index.max()}", f"below {len(names)}")
-    if header["kind"] not in KINDS:
-        raise FileError(path, f"kind {header['kind']!r}", f"one of {', '.join(KINDS)}")
+    height = arrays["object_pos"][:, 2]
+    away = np.linalg.norm(arrays["target_pos"] - arrays["object_pos"][:, None], axis=-1)
+    for name, wrong, expected in (
+        ("object_pos", (height <= 0) | (height > _HIGHEST_M), "an object on or above the table"),
+        ("object_quat", _no_unit(arrays["object_quat"]), "unit quaternions"),
+        ("target_normal", _no_unit(arrays["target_normal"]), "unit normals"),
+        ("target_pos", away > _FARTHEST_M, f"targets within {_FARTHEST_M:g} m of the object"),
+        ("score", np.abs(arrays["score"] - 0.5) > 0.5 + _ROUNDING, "scores from 0 to 1"),
+        ("residual", arrays["residual"] < 0, "distances, 0 m or more"),
+    ):
+        for place in np.argwhere(wrong)[:1]:
+            shown = np.array2string(arrays[name][tuple(place)], precision=4)
+            raise FileError(path, f"{name} of state {place[0]} with {shown}", expected)
+
+
+def _no_unit(vectors: Float[np.ndarray, "*b d"]) -> Bool[np.ndarray, "*b"]:
+    return np.abs(np.linalg.norm(vectors, axis=-1) - 1.0) > _ROUNDING
+
+
+_KIND = ArchiveKind(
+    format="mjx_grasp handoff set",
+    version=2,
+    header=_Header,
+    arrays=_ARRAYS,
+    check=_check,
+    older={1: checked},
+)

@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -112,21 +113,11 @@ class HandoffGenerator:
 
     def _shape(self, obj: ObjectModel) -> Shape:
         """What the solver keeps away from: the pieces that collisions are checked with."""
-        import os, trimesh
-        kind=os.environ.get("SHAPE","pieces")
-        n=self._config.posture.grid
-        if kind=="mesh":
-            return distance_cube(obj.mesh.vertices,obj.mesh.faces,n)
-        if kind=="min":
-            import jax.numpy as jnp
-            from mjx_grasp.geometry.distance_field import _sampled
-            from mjx_grasp.geometry.signed_distance import DistanceField
-            ms=[p.surface() for p in obj.pieces]
-            v=np.concatenate([m.vertices for m in ms]); low,high=v.min(0)-.03,v.max(0)+.03; size=float((high-low).max())
-            fs=[_sampled(np.asarray(m.vertices,np.float64),np.asarray(m.faces),0.5*(low+high-size),np.full(3,n),size/(n-1)) for m in ms]
-            return DistanceField(jnp.min(jnp.stack([f.values for f in fs]),axis=0),fs[0].origin,fs[0].spacing)
-        m=trimesh.util.concatenate([p.surface() for p in obj.pieces])
-        return distance_cube(m.vertices,m.faces,n)
+        surfaces = [piece.surface() for piece in obj.pieces]
+        before = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
+        vertices = np.concatenate([s.vertices for s in surfaces])
+        faces = np.concatenate([s.faces + n for s, n in zip(surfaces, before, strict=True)])
+        return distance_cube(vertices, faces, self._config.posture.grid)
 
     def _round(
         self, task: _Task, report: ObjectReport, rng: np.random.Generator
@@ -159,16 +150,14 @@ class HandoffGenerator:
             task.options,
         )
         posture, targets = self._config.posture, self._config.targets
-        tried = Pairs(ways, high[pose, candidate], pos[pose], turns[pose])
+        tried = Pairs(ways, *map(jnp.asarray, (high[pose, candidate], pos[pose], turns[pose])))
         found = attempt_all(self._body, self._library, posture, targets, task.shape, tried)
         found = jax.tree.map(np.asarray, found)
         accepted = []
         for n in range(len(pairs)):
             at = pos[pose[n]], quat[pose[n]]
-            start, outcome = self._first_clear(
-                jax.tree.map(lambda leaf, n=n: leaf[n], found),
-                lambda q, at=at: task.checker.reason(q, *at),
-            )
+            one = Attempts(*(leaf[n] for leaf in found))
+            start, outcome = self._first_clear(one, partial(_reason, task.checker, *at))
             report.converged += outcome not in ("unreachable", "limits")
             if outcome is not None:
                 report.rejected[outcome] += 1
@@ -189,17 +178,17 @@ class HandoffGenerator:
     def _first_clear(
         self, found: Attempts, collision: Callable[[np.ndarray], str | None]
     ) -> tuple[int, str | None]:
-        """The best start that is refused for nothing, or the reason of the one that got farthest."""
+        """The best start that nothing refuses, or the reason of the one that got farthest."""
         farthest = -1
-        for start in np.argsort(found.cost, kind="stable"):
+        for start in np.argsort(np.asarray(found.cost), kind="stable").tolist():
             if not np.isfinite(found.cost[start]):
                 continue
-            if found.error[start].max() > self._config.posture.tolerance:
+            if np.max(found.error[start]) > self._config.posture.tolerance:
                 outcome = "limits" if found.at_limit[start] else "unreachable"
             elif not found.agrees[start]:
                 outcome = "reach-axis"
             else:
-                reason = collision(found.q[start])
+                reason = collision(np.asarray(found.q[start]))
                 if reason is None:
                     return start, None
                 outcome = reason
@@ -242,6 +231,7 @@ class HandoffGenerator:
             object_names=(obj.name,),
             object_content_hash=(obj.content_hash,),
             kind="ik",
+            robot=self._robot.identity,
         )
 
 
@@ -270,3 +260,13 @@ def _matrix(quat: np.ndarray) -> np.ndarray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def _reason(
+    checker: CollisionChecker,
+    pos: Float[np.ndarray, " 3"],
+    quat: Float[np.ndarray, " 4"],
+    q: Float[np.ndarray, " joints"],
+) -> str | None:
+    """Why a configuration is refused with the object at a pose; None if it is not."""
+    return checker.reason(q, pos, quat)

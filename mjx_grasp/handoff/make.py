@@ -40,13 +40,13 @@ def make_handoffs(
     made = provenance(config.seed)  # of the code as it is before the set changes a tracked file
     names = resolve(config.objects)
     sets, reports, earlier = [], [], None
+    robot = load_robot(config.robot)
     if config.update is not None:
-        before = load_handoffs(config.update)
+        before = load_handoffs(config.update, robot=robot)
         earlier = read_report(config.update.with_suffix(".json"))
         kept = before.select([n for n in before.object_names if n not in names])
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
-    robot = load_robot(config.robot)
     generator = HandoffGenerator(robot, config)
     with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)

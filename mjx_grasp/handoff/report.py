@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -13,7 +12,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.sim.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
@@ -106,13 +105,14 @@ def read_report(path: Path) -> dict[str, Any]:
     Raises:
         FileError: There is none, or it is damaged.
     """
-    try:
-        document = json.loads(path.read_text())
-        return {key: document[key] for key in ("provenance", "objects")} | {
-            "earlier": document.get("earlier", [])
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileError(path, f"no report ({error!r})", "the report beside a handoff set") from None
+    expected = "the report beside a handoff set"
+    document = read_json(path, expected)
+    rows, earlier = document.get("objects"), document.get("earlier", [])
+    parts = {"name", "eligible"}
+    whole = isinstance(rows, list) and all(isinstance(r, dict) and parts <= r.keys() for r in rows)
+    if not whole or "provenance" not in document or not isinstance(earlier, list):
+        raise FileError(path, f"the entries {', '.join(document)}", expected)
+    return {"provenance": document["provenance"], "objects": rows, "earlier": earlier}
 
 
 def write_report(

@@ -17,8 +17,8 @@ from mjx_grasp.geometry.packing import Layout, pack, unpack_on_device
 from mjx_grasp.geometry.rays import RayHits, farthest_hit, hit_on_face
 from mjx_grasp.geometry.tiles import tile_for
 from mjx_grasp.heatmap.candidates import (
-    Candidates,
-    Hand,
+    GraspLimits,
+    HeatmapRows,
     Masses,
     Surfaces,
     Thumbs,
@@ -87,7 +87,9 @@ def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
     return Begun(words, layout, at_once, _begin(words, layout, at_once, config))
 
 
-def brute_candidates(begun: Begun, masses: Masses, hand: Hand, config: HeatmapConfig) -> Candidates:
+def brute_candidates(
+    begun: Begun, masses: Masses, hand: GraspLimits, config: HeatmapConfig
+) -> HeatmapRows:
     """Goes on to the candidates, which a GPU then works on.
 
     Args:
@@ -102,7 +104,7 @@ def brute_candidates(begun: Begun, masses: Masses, hand: Hand, config: HeatmapCo
 
 
 @partial(jax.jit, static_argnames="vertices")
-def cut_out(stacked: Candidates, mesh: int, vertices: int) -> Candidates:
+def cut_out(stacked: HeatmapRows, mesh: int, vertices: int) -> HeatmapRows:
     """Those of one mesh, without the padding; compiled once for each number of vertices."""
     return jax.tree.map(lambda x: x[mesh, :vertices], stacked)
 
@@ -185,10 +187,10 @@ def bvh_candidates(
     surfaces: Surfaces,
     masses: Masses,
     counts: Sequence[tuple[int, int]],
-    hand: Hand,
+    hand: GraspLimits,
     config: HeatmapConfig,
-) -> list[Candidates]:
-    """Candidates of meshes one after the other.
+) -> list[HeatmapRows]:
+    """Rows of meshes one after the other.
 
     Args:
         trees: Of the meshes.

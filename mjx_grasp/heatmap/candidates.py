@@ -30,67 +30,56 @@ class Surfaces(NamedTuple):
     """k meshes, one after the other, as float32; each around the centre of its own box.
 
     Arrays of NumPy on the host, of JAX on the device.
-
-    Attributes:
-        vertices: ``[v, 3]`` in [m].
-        normals: ``[v, 3]`` unit, zero where there is none.
-        faces: ``[f, 3]`` indices of vertices, counted through all meshes.
-        face_normals: ``[f, 3]`` unit, zero where there is none.
-        areas: ``[f]`` in [m²], zero for padding.
-        centroids: ``[f, 3]`` in [m].
-        diagonal: ``[k]`` of the bounding box, [m].
-        origin: ``[k, 3]`` centre of the box in the frame of the mesh, [m].
     """
 
     vertices: Float[Any, "v 3"]
+    """positions [m]"""
     normals: Float[Any, "v 3"]
+    """unit, zero where there is none"""
     faces: Int[Any, "f 3"]
+    """indices of vertices, counted through all meshes"""
     face_normals: Float[Any, "f 3"]
+    """unit, zero where there is none"""
     areas: Float[Any, " f"]
+    """zero for padding [m²]"""
     centroids: Float[Any, "f 3"]
+    """of the faces [m]"""
     diagonal: Float[Any, " k"]
+    """of the bounding box [m]"""
     origin: Float[Any, "k 3"]
+    """centre of the box in the frame of the mesh [m]"""
 
 
 class Masses(NamedTuple):
-    """How the mass of k meshes is spread.
-
-    Attributes:
-        com: ``[k, 3]`` centre of mass, around the centre of the mesh's box, [m].
-        axes: ``[k, 3, 3]`` principal axes as rows, the longest first.
-    """
+    """How the mass of k meshes is spread."""
 
     com: Float[Any, "k 3"]
+    """centre of mass, around the centre of the mesh's box [m]"""
     axes: Float[Any, "k 3 3"]
+    """principal axes as rows, the longest first"""
 
 
-class Hand(NamedTuple):
-    """What the score asks of a hand.
-
-    Attributes:
-        span: Its narrowest and widest grasp, [m].
-        friction: μ of its description, separate from a scene's.
-    """
+class GraspLimits(NamedTuple):
+    """What the score asks of a hand."""
 
     span: Float[Any, " 2"]
+    """its narrowest and widest grasp [m]"""
     friction: Float[Any, ""]
+    """μ of its description, separate from a scene's [-]"""
 
 
 class Thumbs(NamedTuple):
-    """Vertices of meshes that candidates are asked for.
-
-    Attributes:
-        points: ``[n, 3]`` in [m].
-        normals: ``[n, 3]`` unit, zero where there is none.
-        owner: ``[n]`` which mesh each belongs to.
-    """
+    """Vertices of meshes that candidates are asked for."""
 
     points: Float[Any, "n 3"]
+    """positions [m]"""
     normals: Float[Any, "n 3"]
+    """unit, zero where there is none"""
     owner: Int[Any, " n"]
+    """which mesh each belongs to"""
 
 
-class Candidates(NamedTuple):
+class HeatmapRows(NamedTuple):
     """What is found for n thumbs; as in :class:`..steering.Heatmap`, which has a score."""
 
     normals: Float[Any, "n 3"]
@@ -141,9 +130,9 @@ def best_candidates(
     long_axis: Float[Array, "n 3"],
     nearest: ClosestPoints,
     on_mesh: Bool[Array, " m"],
-    hand: Hand,
+    hand: GraspLimits,
     config: HeatmapConfig,
-) -> Candidates:
+) -> HeatmapRows:
     """The scores of all offsets, and of each vertex its best (method §1, steps 3 to 5).
 
     Args:
@@ -159,7 +148,7 @@ def best_candidates(
         config: Settings.
 
     Returns:
-        Candidates in the frame of their mesh.
+        Rows in the frame of their mesh.
     """
     vertices, normals, owner = thumbs
     offsets = jnp.asarray(config.wrap_offsets, vertices.dtype)
@@ -203,7 +192,7 @@ def best_candidates(
     rows = jnp.arange(vertices.shape[0])
     kept = valid[best, rows]
     origin = surfaces.origin[owner]
-    return Candidates(
+    return HeatmapRows(
         normals=jnp.where(has_normal[:, None], normals, jnp.asarray(_UP, normals.dtype)),
         score_without_com=without_com[best, rows],
         thumb=vertices + origin,

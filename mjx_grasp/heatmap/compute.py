@@ -14,7 +14,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.mesh import (
     Triangles,
     bounds,
-    mass_about,
+    principal_frame_of,
     surface_normals,
     triangles_of,
 )
@@ -26,7 +26,7 @@ from mjx_grasp.heatmap.backends import (
     cut_out,
     start_trees,
 )
-from mjx_grasp.heatmap.candidates import Candidates, Hand, Masses, Surfaces
+from mjx_grasp.heatmap.candidates import GraspLimits, HeatmapRows, Masses, Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
 
@@ -98,7 +98,7 @@ def compute_heatmaps(
     if len(coms) != len(meshes):
         raise InputError("coms", f"{len(coms)}", f"one of each of the {len(meshes)} meshes")
     centred = [_Centred.of(vertices, faces) for vertices, faces in meshes]
-    hand = Hand(_f32(span), _f32(scoring_friction))
+    hand = GraspLimits(_f32(span), _f32(scoring_friction))
 
     # All are started before the first is waited for.
     heatmaps: dict[int, Heatmap] = {}
@@ -162,7 +162,7 @@ class _Centred:
         return len(self.vertices), len(self.faces)
 
 
-def _started(members, coms, hand, config) -> tuple[list[Candidates], list[np.ndarray]]:
+def _started(members, coms, hand, config) -> tuple[list[HeatmapRows], list[np.ndarray]]:
     """Candidates that a GPU may still be at, and centres of mass in the meshes' frames [m]."""
     sizes = [m.size for m in members]
     if backend_for(max(faces for _, faces in sizes), config) == "bvh":
@@ -194,7 +194,7 @@ def _surfaces(m: _Centred) -> Surfaces:
 
 def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
     """:class:`Masses` of meshes, and their centres of mass in their frames [m]."""
-    found = [mass_about(m.triangles, m.faces, m.diagonal) for m in members]
+    found = [principal_frame_of(m.triangles, m.faces, m.diagonal) for m in members]
     centres = [
         p.centre + m.origin if com is None else np.asarray(com, np.float64)
         for p, m, com in zip(found, members, coms, strict=True)

@@ -5,7 +5,7 @@ candidates, one per vertex, and f faces:
 
 | member | shape, type | content |
 | --- | --- | --- |
-| ``header`` | JSON text | format, version, checksum, and the fields of :class:`HeatmapInfo` |
+| ``header`` | JSON text | of an archive, with the fields of :class:`HeatmapInfo` |
 | ``vertices`` | v×3 float32 | of the mesh as it was read and repaired |
 | ``faces`` | f×3 int32 | vertex indices, wound outwards |
 | ``normals`` | v×3 float32 | outward unit normals |
@@ -19,18 +19,13 @@ candidates, one per vertex, and f faces:
 | ``centre``, ``axis`` | v×3 float32 | of the wrap contacts; unit grasp axis from the thumb to it |
 | ``width`` | v float32 | distance from the thumb to the centre |
 | ``valid`` | v bool | whether there is a candidate; where not, scores are 0 and the rest is void |
-| ``terms`` | v×6 float32 | factors of S, columns in the order of ``term_names`` |
-| ``term_names`` | 6 strings | width, thumb, wrap, coherence, com, separation |
+| ``term_width``, … | v float32 | factors of S: width, thumb, wrap, coherence, com, separation |
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,49 +33,57 @@ from jaxtyping import Float, Int
 from mjx_grasp.errors import FileError
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.records.archive import (
+    ArchiveKind,
+    Arrays,
+    ChecksumError,
+    Header,
+    checked,
+    read_archive,
+    write_archive,
+)
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.settings import Finite, NonNegative, Positive, Settings
 
 FORMAT = "mjx_grasp heatmap"
-VERSION = 1
 TERMS = ("width", "thumb", "wrap", "coherence", "com", "separation")
 
-# Of every array with one row per vertex: the shape behind the rows, and the type.
-_SCHEMA: dict[str, tuple[tuple[int, ...], type]] = {
-    "vertices": ((3,), np.float32),
-    "normals": ((3,), np.float32),
-    "score": ((), np.float32),
-    "score_without_com": ((), np.float32),
-    "thumb": ((3,), np.float32),
-    "opposing": ((3,), np.float32),
-    "long_axis": ((3,), np.float32),
-    "offset": ((), np.float32),
-    "wrap": ((2, 3), np.float32),
-    "wrap_normals": ((2, 3), np.float32),
-    "centre": ((3,), np.float32),
-    "axis": ((3,), np.float32),
-    "width": ((), np.float32),
-    "valid": ((), np.bool_),
-    "terms": ((len(TERMS),), np.float32),
+_ARRAYS = {
+    "vertices": "float32 v 3",
+    "normals": "float32 v 3",
+    "score": "float32 v",
+    "score_without_com": "float32 v",
+    "thumb": "float32 v 3",
+    "opposing": "float32 v 3",
+    "long_axis": "float32 v 3",
+    "offset": "float32 v",
+    "wrap": "float32 v 2 3",
+    "wrap_normals": "float32 v 2 3",
+    "centre": "float32 v 3",
+    "axis": "float32 v 3",
+    "width": "float32 v",
+    "valid": "bool v",
 }
-_SCORES = ("score", "score_without_com", "terms")
-_ROUNDING = 1e-4  # float32 products of exponentials may exceed 1 by this
+_TERMS = {f"term_{name}": "float32 v" for name in TERMS}
+_ROUNDING = 1e-4
+"""By how much products of exponentials in float32 may exceed 1."""
 
 
 @dataclass(frozen=True)
-class HeatmapInfo:
+class HeatmapInfo(Settings):
     """How a heatmap was made."""
 
     name: str
     """Of the mesh."""
-    span: tuple[float, float]
+    span: tuple[Positive, Positive]
     """Narrowest and widest grasp of the hand [m]."""
-    friction: float
+    friction: NonNegative
     """Scoring friction μ [-]."""
-    com: tuple[float, float, float]
+    com: tuple[Finite, Finite, Finite]
     """Centre of mass, object frame [m]."""
-    anchor: tuple[float, float, float] | None = None
+    anchor: tuple[Finite, Finite, Finite] | None = None
     """What the scores are steered to, object frame [m]; None for the default heatmap."""
-    sigma: float | None = None
+    sigma: Positive | None = None
     """Scale of the distance from the anchor to the grasp axis [m]."""
 
 
@@ -101,24 +104,9 @@ def save_heatmap(
     Raises:
         FileError: The arrays do not fit each other, or hold numbers that are not finite.
     """
-    arrays: dict[str, np.ndarray] = {
-        name: np.ascontiguousarray(getattr(heatmap, name), dtype)
-        for name, (_, dtype) in _SCHEMA.items()
-        if name != "terms"
-    }
-    columns = [np.asarray(heatmap.terms[name], np.float32) for name in TERMS]
-    arrays["terms"] = np.stack(columns, axis=1)
-    arrays["faces"] = np.ascontiguousarray(faces, np.int32)
-    _check(path, arrays)
-    header: dict[str, Any] = {"format": FORMAT, "version": VERSION, **asdict(info)}
-    header["checksum"] = _checksum(arrays, header)
-    members: dict[str, Any] = {
-        "header": np.array(json.dumps(header)),
-        "term_names": np.array(TERMS),
-        **arrays,
-    }
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **members)
+    arrays = {name: getattr(heatmap, name) for name in _ARRAYS}
+    arrays |= {f"term_{name}": heatmap.terms[name] for name in TERMS}
+    write_archive(path, _KIND, info, arrays | {"faces": faces})
 
 
 def load_heatmap(path: str | Path) -> StoredHeatmap:
@@ -127,33 +115,10 @@ def load_heatmap(path: str | Path) -> StoredHeatmap:
     Raises:
         FileError: Missing, damaged, foreign or of a newer version.
     """
-    path, expected = Path(path), f"a {FORMAT} file (.npz)"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            if not isinstance(header, dict) or header.get("format") != FORMAT:
-                raise FileError(path, "another kind of file", expected)
-            if header.get("version") != VERSION:
-                found = f"version {header.get('version')}"
-                raise FileError(path, found, f"version {VERSION}; newer ones need a newer package")
-            names = tuple(str(name) for name in file["term_names"])
-            arrays = {name: file[name] for name in (*_SCHEMA, "faces")}
-    except FileError:
-        raise
-    except FileNotFoundError:
-        raise FileError(path, "no such file", expected) from None
-    except (KeyError, json.JSONDecodeError):
-        raise FileError(path, "another kind of file", expected) from None
-    except Exception as error:
-        # Depending on where it is damaged, reading a zip file raises nearly anything.
-        raise FileError(path, "a damaged or foreign file", expected) from error
-    if names != TERMS or _checksum(arrays, header) != header.get("checksum"):
-        raise FileError(path, "content that does not match its checksum", "an undamaged file")
-    _check(path, arrays)
-    faces, terms = arrays.pop("faces"), arrays.pop("terms")
-    fields: dict[str, Any] = arrays
-    columns = {name: terms[:, k] for k, name in enumerate(TERMS)}
-    return StoredHeatmap(Heatmap(**fields, terms=columns), faces, _info(header))
+    info, arrays = read_archive(path, _KIND)
+    terms = {name: arrays[f"term_{name}"] for name in TERMS}
+    heatmap = Heatmap(**{name: arrays[name] for name in _ARRAYS}, terms=terms)
+    return StoredHeatmap(heatmap, arrays["faces"], info)
 
 
 def write_ply(
@@ -205,42 +170,30 @@ def write_ply(
         file.write(rows.tobytes() + corners.tobytes())
 
 
-def _info(header: Mapping[str, Any]) -> HeatmapInfo:
-    fields: dict[str, Any] = {}
-    for name in HeatmapInfo.__dataclass_fields__:
-        value = header.get(name)
-        fields[name] = tuple(value) if isinstance(value, list) else value
-    return HeatmapInfo(**fields)
-
-
-def _checksum(arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> str:
-    """SHA-256 over all that the file says."""
-    digest = hashlib.sha256()
-    said = {key: value for key, value in header.items() if key != "checksum"}
-    # Written and read back alike: tuples become lists.
-    digest.update(json.dumps(said, sort_keys=True).encode())
-    for name in sorted(arrays):
-        array = arrays[name]
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-def _check(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Shapes, types, finite numbers, scores within [0, 1], and faces of the vertices."""
-    count = len(arrays["vertices"])
-    for name, (tail, dtype) in _SCHEMA.items():
-        array = arrays[name]
-        if array.shape != (count, *tail) or array.dtype != dtype:
-            expected = f"{dtype.__name__} {(count, *tail)}"
-            raise FileError(path, f"{name} {array.dtype} {array.shape}", expected)
-        if not np.isfinite(array).all():
-            raise FileError(path, f"{name} with numbers that are not finite", "finite numbers")
-    for name in _SCORES:
+def _check(path: Path, info: HeatmapInfo, arrays: Arrays) -> None:
+    """Scores within [0, 1], and faces of the vertices."""
+    for name in ("score", "score_without_com", *_TERMS):
         if np.any((arrays[name] < 0) | (arrays[name] > 1 + _ROUNDING)):
             raise FileError(path, f"{name} outside [0, 1]", "scores in [0, 1]")
-    faces = arrays["faces"]
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != np.int32:
-        raise FileError(path, f"faces {faces.dtype} {faces.shape}", "int32 (any, 3)")
+    faces, count = arrays["faces"], len(arrays["vertices"])
     if len(faces) and (faces.min() < 0 or faces.max() >= count):
         raise FileError(path, f"faces up to vertex {faces.max()}", f"vertices below {count}")
+
+
+def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """All terms in one array, their names in another, which the checksum leaves out."""
+    kept = {name: array for name, array in arrays.items() if name != "term_names"}
+    fields, _ = checked(header, kept)
+    if tuple(arrays["term_names"].tolist()) != TERMS:
+        raise ChecksumError
+    return fields, kept | dict(zip(_TERMS, kept.pop("terms").T, strict=True))
+
+
+_KIND = ArchiveKind(
+    format=FORMAT,
+    version=2,
+    header=HeatmapInfo,
+    arrays=_ARRAYS | _TERMS | {"faces": "int32 f 3"},
+    check=_check,
+    older={1: _from_version_1},
+)

@@ -30,3 +30,17 @@ def steer_near(
     along = dot(jnp.asarray(anchor) - heatmap.thumb, heatmap.axis)
     beyond = jnp.maximum(jnp.maximum(-along, along - heatmap.width), 0.0)
     return steer(heatmap, anchor, sigma) * jnp.exp(-((beyond / sigma) ** 2))
+
+
+def steer_to(
+    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: float, between_contacts: bool
+) -> Float[Array, " v"]:
+    """Scores for an anchor: in line with the contacts (`steer`) or between them (`steer_near`).
+
+    Args:
+        heatmap: Cached candidates.
+        anchor: Point in the object frame [m].
+        sigma: Distance at which a score falls to 1/e [m].
+        between_contacts: Whether the anchor should lie between the contacts.
+    """
+    return (steer_near if between_contacts else steer)(heatmap, anchor, sigma)

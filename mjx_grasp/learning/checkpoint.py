@@ -1,9 +1,13 @@
-"""Checkpoints of the whole training state, written atomically by Orbax."""
+"""Checkpoints of the whole training state, written atomically by Orbax.
+
+A checkpoint has two parts: what has been learnt, which later versions of the package always read,
+and the worlds as they stood, which they read as long as a world still has the same arrays. Where it
+has not, the worlds start anew and the training goes on.
+"""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import shutil
 from pathlib import Path
@@ -15,9 +19,12 @@ import orbax.checkpoint as ocp
 from mjx_grasp.errors import FileError
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.ppo import TrainState
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.atomic import read_json, write_json
 
 _MANIFEST = "manifest.json"
+_VERSION = 2
+"""1: one item `state` with everything, and a manifest of the files alone."""
+_LEARNER = tuple(name for name in TrainState._fields if name != "env")
 _NAME = re.compile(r"^iteration_(\d+)$")
 
 
@@ -41,19 +48,20 @@ def save_checkpoint(
     path = folder / f"iteration_{int(state.iteration):08d}"
     if path.exists():
         shutil.rmtree(path)
+    worlds = env.pack(state.env)
     with ocp.Checkpointer(
-        ocp.CompositeCheckpointHandler("state", "config")
+        ocp.CompositeCheckpointHandler("learner", "worlds", "config")
     ) as checkpointer:  # writes to a temporary folder, then renames
         checkpointer.save(
             path,
             ocp.args.Composite(
-                state=ocp.args.StandardSave(_packed(state, env)),
+                learner=ocp.args.StandardSave(_learner(state)),
+                worlds=ocp.args.StandardSave(worlds),
                 config=ocp.args.JsonSave(config),
             ),
         )
-    manifest = json.dumps(_digests(path), indent=1)
-    with replacing(path / _MANIFEST) as temporary:
-        temporary.write_text(manifest)
+    manifest = {"version": _VERSION, "worlds": _layout(worlds), "files": _digests(path)}
+    write_json(path / _MANIFEST, manifest)
     for old in checkpoints(folder)[:-keep]:
         shutil.rmtree(old)
     return path
@@ -78,35 +86,59 @@ def newest_checkpoint(folder: str | Path) -> Path | None:
     done = checkpoints(folder)
     if not done:
         return None
-    _check_manifest(done[-1])
+    _checked_manifest(done[-1])
     return done[-1]
 
 
-def restore_checkpoint(path: str | Path, template: TrainState, env: BraxTask) -> TrainState:
+def restore_checkpoint(
+    path: str | Path, template: TrainState, env: BraxTask
+) -> tuple[TrainState, bool]:
     """Reads a training state back.
 
     Args:
-        path: A checkpoint folder.
-        template: A state of the same configuration, for its structure and shapes.
+        path: A checkpoint folder, of this version or an older one.
+        template: A state of the same configuration, for its structure, shapes and fresh worlds.
         env: Knows how to unpack the environments.
+
+    Returns:
+        The state, and whether its worlds go on where they stood; else they are the template's.
 
     Raises:
         FileError: The checkpoint is damaged or belongs to another configuration.
     """
     path = Path(path).resolve()
-    _check_manifest(path)
-    like = jax.tree.map(ocp.utils.to_shape_dtype_struct, _packed(template, env))
+    manifest = _checked_manifest(path)
     try:
-        with ocp.Checkpointer(ocp.CompositeCheckpointHandler("state", "config")) as checkpointer:
-            packed = checkpointer.restore(
-                path, ocp.args.Composite(state=ocp.args.StandardRestore(like))
-            )["state"]
+        item = "state" if manifest["version"] == 1 else "learner"
+        learner = _restored(path, item, _learner(template))
     except Exception as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise FileError(
             path, f"a checkpoint that cannot be restored ({first[:200]})", "an undamaged checkpoint"
         ) from error
-    return TrainState(**(packed | {"env": env.unpack(packed["env"])}))
+    worlds = env.pack(template.env)
+    if manifest.get("worlds") != _layout(worlds):
+        return TrainState(**learner, env=template.env), False
+    return TrainState(**learner, env=env.unpack(_restored(path, "worlds", worlds))), True
+
+
+def _restored(path: Path, item: str, like: Any) -> Any:
+    """An item of a checkpoint in the form of `like`; what else it holds is left alone."""
+    shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+    with ocp.Checkpointer(ocp.CompositeCheckpointHandler(item)) as checkpointer:
+        asked = ocp.args.PyTreeRestore(
+            item=shapes,
+            restore_args=ocp.checkpoint_utils.construct_restore_args(shapes),
+            partial_restore=True,
+        )
+        return checkpointer.restore(path, ocp.args.Composite(**{item: asked}))[item]
+
+
+def _layout(tree: Any) -> str:
+    """SHA-256 of the names, shapes and types of a tree's arrays."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    rows = [f"{jax.tree_util.keystr(at)} {x.shape} {x.dtype}" for at, x in leaves]
+    return hashlib.sha256("\n".join(rows).encode()).hexdigest()
 
 
 def _digests(path: Path) -> dict[str, str]:
@@ -117,28 +149,38 @@ def _digests(path: Path) -> dict[str, str]:
     }
 
 
-def _check_manifest(path: Path) -> None:
-    damage = _damage(path)
+def _checked_manifest(path: Path) -> dict[str, Any]:
+    """What an intact checkpoint says of itself.
+
+    Raises:
+        FileError: It is damaged, or newer than this package.
+    """
+    manifest, damage = _looked_at(path)
     if damage is None:
-        return
+        return manifest
     others = [p for p in reversed(checkpoints(path.parent)) if p.name < path.name]
-    intact = next((p for p in others if _damage(p) is None), None)
+    intact = next((p for p in others if _looked_at(p)[1] is None), None)
     expected = "an undamaged checkpoint"
     if intact is not None:
         expected += f"; {intact.name} is intact: remove {path.name} to resume from there"
     raise FileError(path, damage, expected)
 
 
-def _damage(path: Path) -> str | None:
-    """What is wrong with a checkpoint's files; None if they are as they were written."""
+def _looked_at(path: Path) -> tuple[dict[str, Any], str | None]:
+    """A checkpoint's manifest, and what is wrong with it; None if its files are as written."""
     try:
-        expected = json.loads((path / _MANIFEST).read_text())
-    except (OSError, ValueError) as error:
-        return f"no readable manifest ({error})"
+        manifest = read_json(path / _MANIFEST, "the checksums of a checkpoint")
+        if "version" not in manifest:
+            manifest = {"version": 1, "files": manifest}
+        version, expected = int(manifest["version"]), dict(manifest["files"])
+    except (FileError, ValueError, TypeError, KeyError) as error:
+        return {}, f"no readable manifest ({error})"
+    if version > _VERSION:
+        return manifest, f"version {version}, which needs a newer package"
     found = _digests(path)
     changed = sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))
-    return f"damaged or missing files ({', '.join(changed[:3])})" if changed else None
+    return manifest, f"damaged or missing files ({', '.join(changed[:3])})" if changed else None
 
 
-def _packed(state: TrainState, env: BraxTask) -> dict[str, Any]:
-    return state._asdict() | {"env": env.pack(state.env)}
+def _learner(state: TrainState) -> dict[str, Any]:
+    return {name: getattr(state, name) for name in _LEARNER}

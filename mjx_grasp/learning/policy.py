@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +16,32 @@ from flax import linen
 from jaxtyping import Array, Float
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.atomic import replacing
-
-_FORMAT = "mjx_grasp.policy/1"
+from mjx_grasp.records.archive import (
+    ArchiveKind,
+    Arrays,
+    ChecksumError,
+    Header,
+    read_archive,
+    write_archive,
+)
+from mjx_grasp.records.settings import Settings
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A deterministic policy: the mean of the trained distribution, clipped to ±1."""
 
-    mean: np.ndarray  # [d] of the observations
-    std: np.ndarray  # [d]
-    weights: tuple[np.ndarray, ...]  # [in, out] each
-    biases: tuple[np.ndarray, ...]
+    mean: Float[np.ndarray, " d"]
+    """Of the observations."""
+    std: Float[np.ndarray, " d"]
+    weights: tuple[Float[np.ndarray, "_ _"], ...]
+    """Of each layer, inputs × outputs."""
+    biases: tuple[Float[np.ndarray, " _"], ...]
     meta: dict[str, Any]
     """What the file says of its making: configuration of the task, provenance, objects."""
+    robot: RobotIdentity = FIRST_ROBOT
+    """Whose joints it reads and drives."""
 
     @property
     def observation_size(self) -> int:
@@ -51,23 +63,22 @@ class Policy:
         return jnp.clip(x, -1.0, 1.0)
 
     def save(self, path: str | Path) -> None:
-        """Writes the policy atomically, with a checksum."""
-        arrays = self._arrays()
-        header = {"format": _FORMAT, "layers": len(self.weights), "meta": self.meta}
-        header["sha256"] = _digest(arrays, header)
-        text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-        with replacing(path) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, header=text, **arrays)
+        """Writes the policy as an archive, all or nothing.
 
-    def _arrays(self) -> dict[str, Any]:
-        arrays: dict[str, Any] = {"mean": self.mean, "std": self.std}
-        for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays |= {f"weight_{i}": w, f"bias_{i}": b}
-        return arrays
+        Raises:
+            FileError: The layers do not fit each other, or hold numbers that are not finite.
+        """
+        arrays = {"mean": self.mean, "std": self.std}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+        write_archive(path, _KIND, _Header(self.meta, self.robot), arrays)
 
 
 def policy_from_training(
-    policy_params: Any, normalizer: RunningStatisticsState, meta: dict[str, Any]
+    policy_params: Any,
+    normalizer: RunningStatisticsState,
+    meta: dict[str, Any],
+    robot: RobotIdentity,
 ) -> Policy:
     """Takes the actor out of a training.
 
@@ -75,6 +86,7 @@ def policy_from_training(
         policy_params: Parameters of Brax's policy network.
         normalizer: Observation statistics.
         meta: JSON-serialisable facts to keep with the policy.
+        robot: The robot that was trained.
 
     Raises:
         InputError: The parameters are not those of a multi-layer perceptron with a mean head.
@@ -92,6 +104,7 @@ def policy_from_training(
         weights=tuple(np.asarray(layer["kernel"], np.float32) for layer in layers),
         biases=tuple(np.asarray(layer["bias"], np.float32) for layer in layers),
         meta=meta,
+        robot=robot,
     )
 
 
@@ -99,39 +112,63 @@ def load_policy(path: str | Path) -> Policy:
     """Reads a policy.
 
     Raises:
-        FileError: The file is missing, damaged, or no policy of this format.
+        FileError: The file is missing, damaged, or no policy; or its layers do not fit.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileError(path, "no such file", "a policy written by mjx_grasp.train")
+    header, arrays = read_archive(path, _KIND)
+    weights, biases = _layers(arrays)
+    return Policy(arrays["mean"], arrays["std"], weights, biases, header.meta, header.robot)
+
+
+@dataclass(frozen=True)
+class _Header(Settings):
+    meta: dict
+    robot: RobotIdentity = FIRST_ROBOT
+    """Absent in version 1."""
+
+
+def _layers(arrays: Arrays) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Weights and biases in their order."""
+    count = range(sum(name.startswith("weight_") for name in arrays))
+    return tuple(arrays[f"weight_{i}"] for i in count), tuple(arrays[f"bias_{i}"] for i in count)
+
+
+def _check(path: Path, header: _Header, arrays: Arrays) -> None:
+    """Layers that fit each other, and a scale that can be divided by."""
     try:
-        with np.load(path) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        header = json.loads(arrays.pop("header").tobytes())
-    except Exception as error:
-        raise FileError(
-            path, f"an unreadable file ({error})", "a policy written by mjx_grasp.train"
-        ) from None
-    found = header.get("format") if isinstance(header, dict) else type(header).__name__
-    if found != _FORMAT:
-        raise FileError(path, f"format {found!r}", f"format {_FORMAT!r}")
-    if _digest(arrays, header) != header.get("sha256"):
-        raise FileError(path, "contents that do not match their checksum", "an undamaged policy")
-    layers = range(header["layers"])
-    return Policy(
-        mean=arrays["mean"],
-        std=arrays["std"],
-        weights=tuple(arrays[f"weight_{i}"] for i in layers),
-        biases=tuple(arrays[f"bias_{i}"] for i in layers),
-        meta=header["meta"],
-    )
+        weights, biases = _layers(arrays)
+    except KeyError as error:
+        raise FileError(path, f"no array {error}", "weights and biases of every layer") from None
+    sizes = [len(arrays["mean"]), *map(len, biases)]
+    found = [w.shape for w in weights]
+    expected = list(pairwise(sizes))
+    if found != expected or not found or len(arrays) != 2 + 2 * len(found):
+        raise FileError(path, f"layers of shapes {found}", f"shapes {expected}, one or more")
+    if not (arrays["std"] > 0).all():
+        raise FileError(path, "std with zeros or less", "positive numbers")
 
 
-def _digest(arrays: dict[str, np.ndarray], header: dict[str, Any]) -> str:
-    """Of the arrays and of what the header says, its own checksum apart."""
+def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """With a checksum of its own, which leaves out shapes."""
     facts = {k: v for k, v in header.items() if k != "sha256"}
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for name in sorted(arrays):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return digest.hexdigest()
+    if digest.hexdigest() != header["sha256"]:
+        raise ChecksumError
+    return {"meta": header["meta"]}, arrays
+
+
+_KIND = ArchiveKind(
+    format="mjx_grasp policy",
+    version=2,
+    header=_Header,
+    arrays={
+        "mean": "float32 d",
+        "std": "float32 d",
+        "weight_*": "float32 _ _",
+        "bias_*": "float32 _",
+    },
+    check=_check,
+    older={1: _from_version_1},
+)

@@ -29,6 +29,7 @@ from mjx_grasp.learning.interrupt import InterruptGuard
 from mjx_grasp.learning.log import MetricLog
 from mjx_grasp.learning.ppo import TrainState, make_iteration, reward_columns
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.settings import Count, NonNegative, Settings
 
 COLUMNS = (
     "iteration",
@@ -55,13 +56,13 @@ class TrainingDiverged(MjxGraspError):
 
 
 @dataclass(frozen=True)
-class LoopConfig:
+class LoopConfig(Settings):
     """How a training is watched and kept."""
 
-    checkpoint_every_s: float = 60.0
-    """Time between checkpoints [s]; one is always written at the end."""
-    checkpoint_every: int | None = None
-    """Iterations between checkpoints, instead of a time."""
+    checkpoint_every_s: NonNegative = 60.0
+    """time between checkpoints; one is always written at the end [s]"""
+    checkpoint_every: Count | None = None
+    """iterations between checkpoints, instead of a time [-]"""
     wandb_project: str | None = None
     """Weights & Biases project; needs the extra `wandb`."""
 

@@ -93,9 +93,9 @@ def repair(
         flipped += turned
         vertices, faces, holes = _fill_holes(vertices, agreeing)
         filled += holes
-        if _is_closed(faces):
+        if _is_manifold(faces):
             break
-    if dropped > _MAX_DROPPED * start + 8 or not _is_closed(faces):
+    if dropped > _MAX_DROPPED * start + 8 or not _is_manifold(faces):
         counts = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_counts=True)[1]
         raise FileError(
             path,
@@ -172,7 +172,8 @@ def _edges(faces: np.ndarray) -> np.ndarray:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _is_closed(faces: np.ndarray) -> bool:
+def _is_manifold(faces: np.ndarray) -> bool:
+    """Whether every edge has two faces."""
     if len(faces) == 0:
         return False
     counts = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_counts=True)[1]

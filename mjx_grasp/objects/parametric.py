@@ -21,10 +21,10 @@ from mjx_grasp.objects.shapes import (
     joined,
     lathe,
     loft,
-    placed,
     rounded_box,
+    set_at,
     smooth,
-    sweep,
+    swept,
 )
 
 _VERTICES = 2000
@@ -70,7 +70,7 @@ def _ball(radius: float) -> trimesh.Trimesh:
 
 def _tube(points: list[list[float]], radius: float, edge: float, up=(0.0, 0.0, 1.0)):
     path = smooth(points)
-    return sweep(path, radius, radius, edge, up=up)
+    return swept(path, radius, radius, edge, up=up)
 
 
 def _potted_meat_can() -> trimesh.Trimesh:
@@ -111,7 +111,7 @@ def _pitcher_base() -> trimesh.Trimesh:
         up=(0.0, 1.0, 0.0),
     )
     # The handle stands where the scan has it.
-    return placed(joined(body, handle), degrees=138.0)
+    return set_at(joined(body, handle), degrees=138.0)
 
 
 def _mustard_bottle() -> trimesh.Trimesh:
@@ -187,7 +187,7 @@ def _mug() -> trimesh.Trimesh:
         0.004,
         up=(0.0, 1.0, 0.0),
     )
-    return placed(joined(lathe(np.array(profile), 0.0062), handle), degrees=-39.0)
+    return set_at(joined(lathe(np.array(profile), 0.0062), handle), degrees=-39.0)
 
 
 def _wine_glass() -> trimesh.Trimesh:
@@ -216,7 +216,7 @@ def _banana() -> trimesh.Trimesh:
     path = np.stack([0.125 * np.sin(angle), 0.125 * np.cos(angle), 0 * angle], axis=1)
     along = np.abs(np.linspace(-1, 1, 25))
     radius = 0.018 * np.sqrt(np.maximum(1.0 - along**4, 0.03))
-    return sweep(path, radius, radius, 0.0042)
+    return swept(path, radius, radius, 0.0042)
 
 
 def _pear() -> trimesh.Trimesh:
@@ -225,14 +225,14 @@ def _pear() -> trimesh.Trimesh:
     radius = np.sin(z) * (0.0331 - 0.012 * (height / 0.1 - 0.25))
     radius *= 0.0331 / radius.max()
     upright = lathe(np.column_stack([radius, height]), 0.0042)
-    return placed(upright, axis=(0.0, 1.0, 0.0), degrees=90.0)
+    return set_at(upright, axis=(0.0, 1.0, 0.0), degrees=90.0)
 
 
 def _power_drill() -> trimesh.Trimesh:
     barrel = capsule((-0.062, 0.065, 0), (0.060, 0.065, 0), 0.027, 0.0075)
     chuck = capsule((0.060, 0.065, 0), (0.077, 0.065, 0), 0.016, 0.006)
-    grip = placed(_box_at(0.042, 0.125, 0.036), (-0.040, 0.004, 0))
-    battery = placed(_box_at(0.085, 0.040, 0.0565), (-0.030, -0.072, 0))
+    grip = set_at(_box_at(0.042, 0.125, 0.036), (-0.040, 0.004, 0))
+    battery = set_at(_box_at(0.085, 0.040, 0.0565), (-0.030, -0.072, 0))
     return joined(barrel, chuck, grip, battery)
 
 
@@ -242,10 +242,10 @@ def _box_at(x: float, y: float, z: float) -> trimesh.Trimesh:
 
 def _toy_airplane() -> trimesh.Trimesh:
     fuselage = capsule((-0.095, 0, 0), (0.095, 0, 0), 0.0355, 0.012)
-    wing = placed(rounded_box((0.070, 0.2547, 0.016), 0.005, 0.012), (0.025, 0, 0.030))
-    tail = placed(rounded_box((0.045, 0.120, 0.012), 0.004, 0.012), (-0.100, 0, 0.020))
-    fin = placed(rounded_box((0.045, 0.012, 0.090), 0.004, 0.012), (-0.100, 0, 0.070))
-    gear = placed(rounded_box((0.030, 0.070, 0.040), 0.008, 0.010), (0.040, 0, -0.050))
+    wing = set_at(rounded_box((0.070, 0.2547, 0.016), 0.005, 0.012), (0.025, 0, 0.030))
+    tail = set_at(rounded_box((0.045, 0.120, 0.012), 0.004, 0.012), (-0.100, 0, 0.020))
+    fin = set_at(rounded_box((0.045, 0.012, 0.090), 0.004, 0.012), (-0.100, 0, 0.070))
+    gear = set_at(rounded_box((0.030, 0.070, 0.040), 0.008, 0.010), (0.040, 0, -0.050))
     return joined(fuselage, wing, tail, fin, gear)
 
 
@@ -257,13 +257,13 @@ def _large_clamp() -> trimesh.Trimesh:
         _arm([(0.000, 0.010), (0.040, -0.030), (0.076, -0.055)], z),
         _arm([(0.000, -0.010), (0.040, 0.030), (0.076, 0.055)], z),
     ]
-    spring = placed(_can(0.014, 0.036), (0.0, 0.0, -0.018))
+    spring = set_at(_can(0.014, 0.036), (0.0, 0.0, -0.018))
     return joined(*jaws, spring)
 
 
 def _arm(points: list[tuple[float, float]], height: float) -> trimesh.Trimesh:
     path = smooth([(x, y, 0.0) for x, y in points], 12)
-    return sweep(path, 0.006, height / 2, 0.007, exponent=4.0)
+    return swept(path, 0.006, height / 2, 0.007, exponent=4.0)
 
 
 _SHAPES: dict[str, Callable[[], trimesh.Trimesh]] = {

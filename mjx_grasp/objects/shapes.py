@@ -47,7 +47,7 @@ def loft(
     return _tube(centres, x_axis, y_axis, a, b, p, edge)
 
 
-def sweep(
+def swept(
     path: Float[np.ndarray, "n 3"],
     half_across: float | Float[np.ndarray, "n"],
     half_up: float | Float[np.ndarray, "n"],
@@ -90,7 +90,7 @@ def capsule(
     path = np.concatenate([path[:5], [a, b], path[5:]])
     around = np.concatenate([around[:5], [radius, radius], around[5:]])
     up = (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0)
-    return sweep(path, around, around, edge, up)
+    return swept(path, around, around, edge, up)
 
 
 def ellipsoid(half: Sequence[float], subdivisions: int = 4) -> trimesh.Trimesh:
@@ -140,7 +140,7 @@ def arc(
     return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def placed(
+def set_at(
     mesh: trimesh.Trimesh,
     at: Sequence[float] = (0.0, 0.0, 0.0),
     axis: Sequence[float] = (0.0, 0.0, 1.0),

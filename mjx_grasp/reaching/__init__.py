@@ -3,21 +3,21 @@
 from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
-from mjx_grasp.reaching.controller import Outcome, Plans, Reacher, ReachState, Tick
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
 from mjx_grasp.reaching.planning import PlanConfig, plan_again, plan_reach, start_library
-from mjx_grasp.reaching.presets import Preset, preset
+from mjx_grasp.reaching.presets import ReachPreset, preset
 
 __all__ = [
-    "Outcome",
+    "ReachOutcome",
     "PlanConfig",
     "Plans",
-    "Preset",
+    "ReachPreset",
     "Body",
     "ReachConfig",
     "ReachState",
     "Reacher",
     "Surroundings",
-    "Tick",
+    "ReachTick",
     "plan_again",
     "plan_reach",
     "preset",

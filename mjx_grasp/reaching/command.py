@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.geometry.linear import full_precision
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.clearances import proximities, row_count, table_clearances
@@ -27,61 +28,65 @@ _ROOM = 0.25
 
 
 class Goals(NamedTuple):
-    """Where the hand is to be; world frame.
-
-    Attributes:
-        tips: ``[3, 3]`` standoff targets of the tip frames, [m].
-        pads: ``[3, 3]`` unit directions for the pad normals.
-        guide: Where a plan wants the whole hand.
-    """
+    """Where the hand is to be; world frame."""
 
     tips: Float[Array, "3 3"]
+    """standoff targets of the tip frames [m]"""
     pads: Float[Array, "3 3"]
+    """unit directions for the pad normals"""
     guide: GuideGoal
+    """where a plan wants the whole hand"""
 
 
 class Memory(NamedTuple):
-    """What one tick leaves to the next.
-
-    Attributes:
-        command: ``[joints]`` the last command, [rad/s].
-        escape: Share of the escape speed that is asked for; less while it cannot be had.
-        warm: The solver's.
-    """
+    """What one tick leaves to the next."""
 
     command: Float[Array, " joints"]
+    """the last command [rad/s]"""
     escape: Float[Array, ""]
+    """share of the escape speed that is asked for; less while it cannot be had [-]"""
     warm: WarmStart
+    """the solver's"""
+
+
+class Programme(NamedTuple):
+    """The quadratic programme of a tick, and what it is made of."""
+
+    problem: QP
+    """its solution is the command"""
+    motion: Motion
+    """the robot"""
+    tip_rows: Float[Array, "3 3 joints"]
+    """velocities of the tips per joint velocity"""
+    midpoint: Float[Array, ""]
+    """error of the midpoint [m]"""
+    near: dict[str, Proximity]
+    """distances, by kind"""
 
 
 class Report(NamedTuple):
-    """What a tick found and did.
-
-    Attributes:
-        error: ``[3]`` tip frames to standoff targets, [m].
-        midpoint: Of midpoints, [m].
-        speed: ``[3]`` of the tips under the command, [m/s].
-        feasible: Whether the programme had a solution; where not, the command is zero, or escapes.
-        violation: Of the half-spaces by the solver's answer, [m/s].
-        object_distance: Least distance of the robot to the object, [m].
-        obstacle_distance: To the obstacles, [m].
-        table_margin: Least height above the table over what is asked for, [m].
-        finger_distance: Least distance of two fingers, [m].
-        arm_distance: Least distance of the arm's outer links to its base and inner links, [m].
-        problem: The programme that was solved.
-    """
+    """What a tick found and did."""
 
     error: Float[Array, " 3"]
+    """tip frames to standoff targets [m]"""
     midpoint: Float[Array, ""]
+    """of midpoints [m]"""
     speed: Float[Array, " 3"]
+    """of the tips under the command [m/s]"""
     feasible: Bool[Array, ""]
+    """whether the programme had a solution; where not, the command is zero, or escapes"""
     violation: Float[Array, ""]
+    """of the half-spaces by the solver's answer [m/s]"""
     object_distance: Float[Array, ""]
+    """least distance of the robot to the object [m]"""
     obstacle_distance: Float[Array, ""]
+    """to the obstacles [m]"""
     table_margin: Float[Array, ""]
+    """least height above the table over what is asked for [m]"""
     finger_distance: Float[Array, ""]
+    """least distance of two fingers [m]"""
     arm_distance: Float[Array, ""]
-    problem: QP
+    """least distance of the arm's outer links to its base and inner links [m]"""
 
 
 def start_memory(body: Body, obstacles: int) -> Memory:
@@ -134,7 +139,7 @@ def scaled_back(
     clearances = limits.clearances
     later = around.after(dt) if limits.follow_object else around
 
-    def after(x):
+    def after(x: Float[Array, " joints"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
         then, safe = proximities(body, body.kinematics.motion(q + dt * x), later, clearances)
         return stacked(list(then.values())).distance, safe
 
@@ -142,8 +147,8 @@ def scaled_back(
     still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
 
     # Distances are not linear in the joints: what is left of the command has to show that it holds.
-    def shortened(_, state):
-        x, _, _ = state
+    def shortened(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x = state[0]
         moved, safe = after(x)
         least = jnp.minimum(still, safe + _ROOM * limits.margin)
         share = (still - least) / jnp.maximum(still - moved, _TINY)
@@ -189,12 +194,7 @@ def command(
     Returns:
         The command in [rad/s], the memory, and what was found.
     """
-    motion = body.kinematics.motion(q)
-    tips = motion.pos[:FINGERS]
-    middle = norm(fields.midpoint(tips) - fields.midpoint(goals.tips))
-    tip_rows = body.point_jacobians(motion, np.arange(FINGERS), tips)
-
-    problem, near = _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
+    problem, motion, tip_rows, middle, near = programme(body, config, q, goals, around, memory)
     solution = solve_qp(problem, memory.warm, config.solver)
     feasible = solution.violation <= config.solver.feasible
     used, escape = feasible, memory.escape
@@ -208,7 +208,7 @@ def command(
     obstacle = near["obstacles"].distance if "obstacles" in near else jnp.full(1, jnp.inf)
     table = near["table"].distance - jnp.asarray(table_clearances(body, config.limits.clearances))
     report = Report(
-        error=norm(tips - goals.tips),
+        error=norm(motion.pos[:FINGERS] - goals.tips),
         midpoint=middle,
         speed=norm(tip_rows @ x),
         feasible=feasible,
@@ -218,14 +218,24 @@ def command(
         table_margin=jnp.min(table),
         finger_distance=jnp.min(near["fingers"].distance),
         arm_distance=jnp.min(near["arm"].distance, initial=jnp.inf),
-        problem=problem,
     )
     return x, Memory(x, escape, solution.warm), report
 
 
-def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle):
-    """The quadratic programme of this tick."""
+@full_precision
+def programme(
+    body: Body,
+    config: ReachConfig,
+    q: Float[Array, " joints"],
+    goals: Goals,
+    around: Surroundings,
+    memory: Memory,
+) -> Programme:
+    """The quadratic programme whose solution is the command; arguments as of :func:`command`."""
+    motion = body.kinematics.motion(q)
     tips, pads = motion.pos[:FINGERS], motion.mat[FINGERS:PALM, :, 0]
+    middle = norm(fields.midpoint(tips) - fields.midpoint(goals.tips))
+    tip_rows = body.point_jacobians(motion, np.arange(FINGERS), tips)
     heads_for = goals.tips + goals.guide.offset
     heading, length = fields.way_points(tips, heads_for, around, config.fields)
     v_tips = fields.tip_velocities(tips, heading, length, config.fields, config.controller.dt)
@@ -271,4 +281,4 @@ def _programme(body, config, q, goals, around, memory, motion, tip_rows, middle)
     A, b, near = half_spaces(body, motion, around, config)
     b = jnp.minimum(b, memory.escape * config.limits.escape_speed)
     lower, upper = velocity_box(body, q, config)
-    return QP(P, linear, A, b, lower, upper), near
+    return Programme(QP(P, linear, A, b, lower, upper), motion, tip_rows, middle, near)

@@ -16,18 +16,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.linear import full_precision
 from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
-from mjx_grasp.grasp.select import Hand, SelectionState, select, start_selection
+from mjx_grasp.grasp.select import HandPose, SelectionState, select, start_selection
 from mjx_grasp.grasp.targets import Targets, standoffs
 from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import Goals, Memory, Report, command, start_memory
-from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.config import HandoffGate, ReachConfig
 from mjx_grasp.reaching.fields import pad_goals
-from mjx_grasp.reaching.guide import Guide, follow, no_guide, track
+from mjx_grasp.reaching.guide import Guide, Tracked, follow, no_guide, track
 from mjx_grasp.robot.kinematics import Motion
 
 # A candidate that a plan has chosen is preferred to all others by this, [m].
@@ -40,7 +41,7 @@ _STILL = 1e-4
 _HOLDS = 2.0
 
 
-class Outcome(IntEnum):
+class ReachOutcome(IntEnum):
     """How a reach stands."""
 
     RUNNING = 0
@@ -53,79 +54,108 @@ class Outcome(IntEnum):
 
 
 class Plans(NamedTuple):
-    """Ways to reach an object, the best first; ``[p, …]``.
-
-    Attributes:
-        candidate: ``[p]`` of each.
-        reach: ``[p, 3]`` preference of the object axes as reach direction.
-        spread: ``[p, 3]`` direction of the wraps, object frame.
-        guide: Each a :class:`Guide`.
-    """
+    """Ways to reach an object, the best first."""
 
     candidate: Int[Array, " p"]
+    """of each"""
     reach: Float[Array, "p 3"]
+    """preference of the object axes as reach direction"""
     spread: Float[Array, "p 3"]
+    """direction of the wraps, object frame"""
     guide: Guide
+    """each a :class:`Guide`, stacked"""
 
 
 class ReachState(NamedTuple):
-    """What the controller remembers.
-
-    Attributes:
-        selection: Of the candidates.
-        memory: Of the command.
-        plan: Number of the plan that is followed; 0 also without plans.
-        guide_q: ``[2, joints]`` the plan's configurations as they follow the object, [rad].
-        left: Share of the retreat that is left.
-        timer: The fine-adjustment timer, [s].
-        clock: Since the start, [s].
-        tries: Re-selections made.
-        best: ``[2]`` least time to go so far, of joints to the guide and of tips to targets, [s].
-        since: Time since it was improved, [s].
-        stale: Whether the plans no longer fit, and new ones are due.
-        planned_p, planned_R: Object pose that they were made for.
-        p_wo, R_wo: Object pose at the last tick.
-        obstacles: ``[k, 4]`` at the last tick; NaN before the first.
-        outcome: An :class:`Outcome`.
-        infeasible: Ticks whose programme had no solution.
-    """
+    """What the controller remembers."""
 
     selection: SelectionState
+    """of the candidates"""
     memory: Memory
+    """of the command"""
     plan: Int[Array, ""]
+    """number of the plan that is followed; 0 also without plans"""
     guide_q: Float[Array, "2 joints"]
+    """the plan's configurations as they follow the object [rad]"""
     left: Float[Array, ""]
+    """share of the retreat that is left [-]"""
     timer: Float[Array, ""]
+    """the fine-adjustment timer [s]"""
     clock: Float[Array, ""]
+    """since the start [s]"""
     tries: Int[Array, ""]
+    """re-selections made"""
     best: Float[Array, " 2"]
+    """least time to go so far, of joints to the guide and of tips to targets [s]"""
     since: Float[Array, ""]
+    """time since it was improved [s]"""
     stale: Bool[Array, ""]
+    """whether the plans no longer fit, and new ones are due"""
     planned_p: Float[Array, " 3"]
+    """object origin in world that they were made for [m]"""
     planned_R: Float[Array, "3 3"]
+    """object rotation that they were made for"""
     p_wo: Float[Array, " 3"]
+    """object origin in world at the last tick [m]"""
     R_wo: Float[Array, "3 3"]
+    """object rotation at the last tick"""
     obstacles: Float[Array, "k 4"]
+    """at the last tick; NaN before the first [m]"""
     outcome: Int[Array, ""]
+    """a :class:`ReachOutcome`"""
     infeasible: Int[Array, ""]
+    """ticks whose programme had no solution"""
 
 
-class Tick(NamedTuple):
-    """What one tick did.
-
-    Attributes:
-        velocity: ``[joints]`` the command, [rad/s].
-        targets: The three-point interface.
-        goals: ``[3, 3]`` standoff targets, world, [m].
-        tips: ``[3, 3]`` tip frames, world, [m].
-        report: Errors, distances, feasibility.
-    """
+class ReachTick(NamedTuple):
+    """What one tick did."""
 
     velocity: Float[Array, " joints"]
+    """the command [rad/s]"""
     targets: Targets
+    """the three-point interface"""
     goals: Float[Array, "3 3"]
+    """standoff targets, world [m]"""
     tips: Float[Array, "3 3"]
+    """tip frames, world [m]"""
+    ready: Bool[Array, ""]
+    """whether the hand is near enough for the closing policy"""
     report: Report
+    """errors, distances, feasibility"""
+
+
+class Aim(NamedTuple):
+    """What a tick goes for, and what moves around it."""
+
+    motion: Motion
+    """the robot"""
+    around: Surroundings
+    """object and obstacles"""
+    targets: Targets
+    """the three-point interface"""
+    selection: SelectionState
+    """after the tick"""
+    goals: Goals
+    """where tips, pads and the whole hand are to be"""
+    guide_q: Float[Array, "2 joints"]
+    """the plan's configurations for the object's present pose [rad]"""
+    left: Float[Array, ""]
+    """share of the retreat that is left after the tick [-]"""
+
+
+class _Progress(NamedTuple):
+    """What a tick tells about how the reach goes on."""
+
+    error: Float[Array, ""]
+    """largest tip error, +inf without targets [m]"""
+    to_go: Float[Array, ""]
+    """of the joints to the guide, at full speed [s]"""
+    ready: Bool[Array, ""]
+    """whether the gate is open"""
+    timer: Float[Array, ""]
+    """the fine-adjustment timer [s]"""
+    waits: Bool[Array, ""]
+    """whether something moves that is waited for"""
 
 
 @jax.tree_util.register_static
@@ -174,7 +204,7 @@ class Reacher:
             p_wo=p_wo,
             R_wo=R_wo,
             obstacles=jnp.full((obstacles, 4), jnp.nan),
-            outcome=jnp.int32(Outcome.RUNNING),
+            outcome=jnp.int32(ReachOutcome.RUNNING),
             infeasible=jnp.int32(0),
         )
         return state if plans is None else self._take(state, plans, state.plan)
@@ -191,12 +221,13 @@ class Reacher:
         )
         return self._take(state, plans, jnp.int32(0))
 
-    def hand(self, motion: Motion) -> Hand:
+    def hand(self, motion: Motion) -> HandPose:
         """The hand as the selection sees it."""
         palm = motion.mat[PALM]
         body = self.body
-        return Hand(motion.pos[:FINGERS], palm @ body.approach_axis, palm @ body.opposing_axis)
+        return HandPose(motion.pos[:FINGERS], palm @ body.approach_axis, palm @ body.opposing_axis)
 
+    @full_precision
     def tick(
         self,
         state: ReachState,
@@ -207,7 +238,7 @@ class Reacher:
         R_wo: Float[Array, "3 3"],
         obstacles: Float[Array, "k 4"],
         plans: Plans | None = None,
-    ) -> tuple[ReachState, Tick]:
+    ) -> tuple[ReachState, ReachTick]:
         """One control period; the command is zero once the reach has ended.
 
         Args:
@@ -220,91 +251,119 @@ class Reacher:
             obstacles: Spheres to avoid: centre in world and radius, [m].
             plans: As at the start.
         """
-        # No accelerator shall round products of small matrices to TF32.
-        with jax.default_matmul_precision("highest"):
-            return self._tick(state, q, shape, candidates, p_wo, R_wo, obstacles, plans)
+        aim = self.aim(state, q, shape, candidates, p_wo, R_wo, obstacles, plans)
+        done = command(self.body, self.config, q, aim.goals, aim.around, state.memory)
+        return self._after(state, q, aim, done, candidates, plans)
 
-    def _tick(self, state, q, shape, candidates, p_wo, R_wo, obstacles, plans):
-        config, limits = self.config.controller, self.config.limits
+    @full_precision
+    def aim(
+        self,
+        state: ReachState,
+        q: Float[Array, " joints"],
+        shape: Shape,
+        candidates: Candidates,
+        p_wo: Float[Array, " 3"],
+        R_wo: Float[Array, "3 3"],
+        obstacles: Float[Array, "k 4"],
+        plans: Plans | None = None,
+    ) -> Aim:
+        """What :meth:`tick` goes for, of the same arguments."""
+        dt, most = self.config.controller.dt, self.config.limits.object_speed
         motion = self.body.kinematics.motion(q)
-        twist = _twist(state, p_wo, R_wo, config.dt, limits.object_speed)
-        drift = _velocity(state.obstacles, obstacles, config.dt, limits.object_speed)
+        twist = _twist(state, p_wo, R_wo, dt, most)
+        drift = _velocity(state.obstacles, obstacles, dt, most)
         around = Surroundings(shape, p_wo, R_wo, twist, obstacles, drift)
         targets, selection = select(
             candidates, state.selection, self.hand(motion), p_wo, R_wo, self.selection
         )
-        goals = standoffs(targets.position, targets.normal, self.selection.targets)
-        guide, guide_q, astray = no_guide(len(q)), state.guide_q, jnp.float32(0.0)
+        tips = standoffs(targets.position, targets.normal, self.selection.targets)
+        guide, tracked = no_guide(len(q)), Tracked(state.guide_q, jnp.float32(0.0))
         if plans is not None and self.config.guide.enabled:
             guide = jax.tree.map(lambda leaf: leaf[state.plan], plans.guide)
-            guide_q, astray = track(self.body, guide, guide_q, p_wo, R_wo, self.config.guide)
-        wanted, left = follow(
-            guide, guide_q, astray, state.left, motion, p_wo, R_wo, self.config.guide, config.dt
-        )
-        velocity, memory, report = command(
-            self.body,
-            self.config,
-            q,
-            Goals(goals, pad_goals(goals), wanted),
-            around,
-            state.memory,
-        )
-        running = state.outcome == Outcome.RUNNING
+            tracked = track(self.body, guide, state.guide_q, p_wo, R_wo, self.config.guide)
+        wanted, left = follow(guide, tracked, state.left, motion, around, self.config.guide, dt)
+        goals = Goals(tips, pad_goals(tips), wanted)
+        return Aim(motion, around, targets, selection, goals, tracked.q, left)
+
+    def _after(
+        self,
+        state: ReachState,
+        q: Float[Array, " joints"],
+        aim: Aim,
+        done: tuple[Float[Array, " joints"], Memory, Report],
+        candidates: Candidates,
+        plans: Plans | None,
+    ) -> tuple[ReachState, ReachTick]:
+        """The state after a command, and what the tick did."""
+        config, limits = self.config.controller, self.config.limits
+        velocity, memory, report = done
+        around, targets, guide = aim.around, aim.targets, aim.goals.guide
+        running = state.outcome == ReachOutcome.RUNNING
         velocity = jnp.where(running & targets.valid, velocity, 0.0)
-        memory = memory._replace(command=velocity)
-        moves = norm(p_wo - state.p_wo) + norm(so3.log(R_wo @ state.R_wo.T)) > _STILL
+        turn = norm(so3.log(around.R_wo @ state.R_wo.T))
+        moves = norm(around.p_wo - state.p_wo) + turn > _STILL
         state = state._replace(
-            selection=selection,
-            memory=memory,
-            guide_q=guide_q,
-            left=left,
-            p_wo=p_wo,
-            R_wo=R_wo,
-            obstacles=obstacles,
+            selection=aim.selection,
+            memory=memory._replace(command=velocity),
+            guide_q=aim.guide_q,
+            left=aim.left,
+            p_wo=around.p_wo,
+            R_wo=around.R_wo,
+            obstacles=around.obstacles,
             infeasible=state.infeasible + (running & ~report.feasible),
         )
         error = jnp.where(targets.valid, jnp.max(report.error), jnp.inf)
-        to_go = jnp.max(jnp.abs(guide_q[0] - q) / self.body.velocity_limit)
-        to_go = jnp.where(guide.known & (wanted.astray < 0.5), to_go, jnp.inf)
+        to_go = jnp.max(jnp.abs(aim.guide_q[0] - q) / self.body.velocity_limit)
         # What passes is waited for: another plan may be a long way round.
-        passes = jnp.any(norm(drift) * config.dt > _STILL)
+        passes = jnp.any(norm(around.obstacle_velocity) * config.dt > _STILL)
         passes &= report.obstacle_distance < _HOLDS * limits.clearances.obstacles
-        state = self._advance(
-            state, targets, candidates, error, report.midpoint, to_go, moves | passes, plans
+        timer = jnp.where(error < config.fine_distance, state.timer + config.dt, 0.0)
+        progress = _Progress(
+            error=error,
+            to_go=jnp.where(guide.known & (guide.astray < 0.5), to_go, jnp.inf),
+            ready=targets.valid & is_ready(config.gate, timer, error, report.midpoint),
+            timer=timer,
+            waits=moves | passes,
         )
+        state = self._advance(state, progress, targets.valid, candidates, plans)
         if plans is not None:
             number = plans.candidate.shape[0]
-            state = state._replace(stale=self._stale(state, wanted.astray, moves, number))
-        return state, Tick(velocity, targets, goals, motion.pos[:FINGERS], report)
+            state = state._replace(stale=self._stale(state, guide.astray, moves, number))
+        tips = aim.motion.pos[:FINGERS]
+        return state, ReachTick(velocity, targets, aim.goals.tips, tips, progress.ready, report)
 
-    def _advance(self, state, targets, candidates, error, midpoint_error, to_go, waits, plans):
+    def _advance(
+        self,
+        state: ReachState,
+        now: _Progress,
+        valid: Bool[Array, ""],
+        candidates: Candidates,
+        plans: Plans | None,
+    ) -> ReachState:
         """Timer, handoff, re-selection, failure."""
         config = self.config.controller
-        running = state.outcome == Outcome.RUNNING
-        timer = jnp.where(error < config.fine_distance, state.timer + config.dt, 0.0)
+        running = state.outcome == ReachOutcome.RUNNING
         clock = state.clock + config.dt
-        timed_out = timer >= config.fine_timeout
-        arrived = targets.valid & (midpoint_error < config.handoff_midpoint)
-        arrived &= error <= config.handoff_tips
-        near = error <= config.handoff_largest
-        hands_off = arrived | (timed_out & near)
+        timed_out = now.timer >= config.fine_timeout
+        hands_off = now.ready & config.hands_off
 
         # Ahead on the guide's way or nearer with the tips: either is progress.
-        now = jnp.stack([to_go, error / self.config.fields.speed])
-        improves = now < state.best - config.stall_progress
+        to_go = jnp.stack([now.to_go, now.error / self.config.fields.speed])
+        improves = to_go < state.best - config.stall_progress
         # Once arrived, or while something else moves, the way to go is counted afresh.
-        afresh = (error < config.stall_error) | waits
-        best = jnp.where(afresh, jnp.inf, jnp.where(improves, now, state.best))
+        afresh = (now.error < config.stall_error) | now.waits
+        best = jnp.where(afresh, jnp.inf, jnp.where(improves, to_go, state.best))
         since = jnp.where(jnp.any(improves) | afresh, 0.0, state.since + config.dt)
         stalls = since >= config.stall_time
         again = jnp.where(timed_out, config.reselect_late, stalls)
         again &= running & ~hands_off & (state.tries < config.reselections)
         late = clock >= config.timeout
         fails = ~hands_off & ~again & (late | timed_out)
-        failure = jnp.where(targets.valid, Outcome.FAILED, Outcome.NO_CANDIDATE)
-        outcome = jnp.where(hands_off, Outcome.HANDOFF, jnp.where(fails, failure, Outcome.RUNNING))
+        failure = jnp.where(valid, ReachOutcome.FAILED, ReachOutcome.NO_CANDIDATE)
+        ends = jnp.where(fails, failure, ReachOutcome.RUNNING)
+        outcome = jnp.where(hands_off, ReachOutcome.HANDOFF, ends)
         state = state._replace(
-            timer=jnp.where(again & timed_out, 0.0, timer),
+            timer=jnp.where(again & timed_out, 0.0, now.timer),
             clock=clock,
             best=jnp.where(again, jnp.inf, best),
             since=jnp.where(again, 0.0, since),
@@ -313,13 +372,14 @@ class Reacher:
         )
         if plans is not None:
             number = plans.candidate.shape[0]
-            plan = (state.plan + 1) % number
-            other = self._take(state, plans, plan)
+            other = self._take(state, plans, (state.plan + 1) % number)
         else:
             other = state._replace(selection=_without(state.selection, candidates))
         return jax.tree.map(lambda a, b: jnp.where(again, a, b), other, state)
 
-    def _stale(self, state: ReachState, astray, moves, number: int) -> Bool[Array, ""]:
+    def _stale(
+        self, state: ReachState, astray: Float[Array, ""], moves: Bool[Array, ""], number: int
+    ) -> Bool[Array, ""]:
         """Whether the object is elsewhere than planned for, or all plans were tried in vain."""
         config, lever = self.config.controller, self.config.guide.lever
         turn = norm(so3.log(state.R_wo @ state.planned_R.T))
@@ -327,7 +387,7 @@ class Reacher:
         # While it moves, the present plan's configurations follow it as far as they can.
         elsewhere &= ~moves | (astray > 0.5)
         in_vain = (state.tries >= number) & np.isfinite(config.replan_moved)
-        return (state.outcome == Outcome.RUNNING) & (elsewhere | in_vain)
+        return (state.outcome == ReachOutcome.RUNNING) & (elsewhere | in_vain)
 
     def _take(self, state: ReachState, plans: Plans, number: Int[Array, ""]) -> ReachState:
         """Follows a plan: its candidate, reach direction and order of the wraps."""
@@ -345,7 +405,27 @@ class Reacher:
         )
 
 
-def _twist(state, p_wo, R_wo, dt, most):
+def is_ready(
+    gate: HandoffGate,
+    timer: Float[Array, ""],
+    error: Float[Array, ""],
+    midpoint: Float[Array, ""],
+) -> Bool[Array, ""]:
+    """Whether the hand is near enough for the closing policy.
+
+    Args:
+        gate: What counts as near enough.
+        timer: The fine-adjustment timer, [s].
+        error: Largest tip error, [m].
+        midpoint: Error of the midpoint, [m].
+    """
+    arrived = (midpoint < gate.midpoint) & (error <= gate.tips)
+    return arrived | ((timer >= gate.late) & (error <= gate.late_tips))
+
+
+def _twist(
+    state: ReachState, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], dt: float, most: float
+) -> Float[Array, " 6"]:
     """The object's twist from its last two poses, [m/s] and [rad/s]; none in a jump."""
     linear = (p_wo - state.p_wo) / dt
     angular = so3.log(R_wo @ state.R_wo.T) / dt
@@ -353,7 +433,9 @@ def _twist(state, p_wo, R_wo, dt, most):
     return jnp.where(jumps, 0.0, jnp.concatenate([linear, angular]))
 
 
-def _velocity(before, now, dt, most):
+def _velocity(
+    before: Float[Array, "k 4"], now: Float[Array, "k 4"], dt: float, most: float
+) -> Float[Array, "k 3"]:
     """Velocities of the obstacles' centres, [m/s]; none at first, and none in a jump."""
     velocity = (now[:, :3] - before[:, :3]) / dt
     known = norm(velocity) <= most  # false for NaN

@@ -43,7 +43,12 @@ def clearance(around: Surroundings, points: Float[Array, "*n 3"]) -> Float[Array
     return jnp.minimum(to_shape, obstacle_distance(around.obstacles, points))
 
 
-def _violations(around, start, end, config):
+def _violations(
+    around: Surroundings,
+    start: Float[Array, "*#n 3"],
+    end: Float[Array, "*#n 3"],
+    config: FieldConfig,
+) -> Float[Array, "*n"]:
     """How many samples of segments are not clear; the start is where it is and does not count."""
     share = jnp.arange(1, config.path_samples + 1) / config.path_samples
     points = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
@@ -144,7 +149,7 @@ def palm_twist(
     way = guide.palm_pos - pos
     turn = so3.log(guide.palm_mat @ mat.T)
 
-    def limited(v, most):
+    def limited(v: Float[Array, " 3"], most: float) -> Float[Array, " 3"]:
         return v / jnp.maximum(norm(v) / most, 1.0)
 
     linear = limited(config.palm_gain * way + guide.palm_rate, config.palm_speed)

@@ -17,6 +17,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import solve_spd
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.posture.body import PALM, Body
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import GuideConfig
 from mjx_grasp.robot.kinematics import Motion
 
@@ -25,48 +26,52 @@ _SAME = 2e-5
 
 
 class Guide(NamedTuple):
-    """A planned grasp and the way to it, in the object frame; ``[2]`` is planned, retreated.
-
-    Attributes:
-        known: Whether there is one.
-        q: ``[2, joints]`` configurations, [rad].
-        palm_pos: ``[2, 3]`` the palm frame at them, [m].
-        palm_mat: ``[2, 3, 3]`` its rotation.
-        tip_shift: ``[3]`` from the planned standoff targets to the retreated ones, [m].
-    """
+    """A planned grasp and the way to it, in the object frame; of two the second is retreated."""
 
     known: Bool[Array, ""]
+    """whether there is one"""
     q: Float[Array, "2 joints"]
+    """configurations [rad]"""
     palm_pos: Float[Array, "2 3"]
+    """the palm frame at them [m]"""
     palm_mat: Float[Array, "2 3 3"]
+    """its rotation"""
     tip_shift: Float[Array, " 3"]
+    """from the planned standoff targets to the retreated ones [m]"""
+
+
+class Tracked(NamedTuple):
+    """A plan's configurations for the object's present pose."""
+
+    q: Float[Array, "2 joints"]
+    """planned and retreated [rad]"""
+    astray: Float[Array, ""]
+    """how far they are from it: 0 they fit, 1 not at all"""
 
 
 class GuideGoal(NamedTuple):
-    """Where the guide wants the hand at one tick; world frame.
-
-    Attributes:
-        known: Whether there is a guide.
-        q: ``[joints]`` configuration, [rad].
-        palm_pos: ``[3]`` of the palm frame, [m].
-        palm_mat: ``[3, 3]`` its rotation.
-        offset: ``[3]`` the retreat that is left; standoff targets shift by it, [m].
-        left: Share of the retreat that is left.
-        astray: Whether the configurations no longer fit the object's pose: 0 they do, 1 not at
-            all.
-        q_rate, palm_rate, offset_rate: How fast the above change as the hand comes in, per second.
-    """
+    """Where the guide wants the hand at one tick; world frame."""
 
     known: Bool[Array, ""]
+    """whether there is a guide"""
     q: Float[Array, " joints"]
+    """configuration [rad]"""
     palm_pos: Float[Array, " 3"]
+    """of the palm frame [m]"""
     palm_mat: Float[Array, "3 3"]
+    """its rotation"""
     offset: Float[Array, " 3"]
+    """the retreat that is left; standoff targets shift by it [m]"""
     left: Float[Array, ""]
+    """share of the retreat that is left [-]"""
     astray: Float[Array, ""]
+    """how little the configurations fit the object's pose: 0 they do, 1 not at all"""
     q_rate: Float[Array, " joints"]
+    """how fast the configuration changes as the hand comes in [rad/s]"""
     palm_rate: Float[Array, " 3"]
+    """how fast the palm's origin does [m/s]"""
     offset_rate: Float[Array, " 3"]
+    """how fast the retreat does [m/s]"""
 
 
 def no_guide(joints: int) -> Guide:
@@ -83,7 +88,7 @@ def track(
     p_wo: Float[Array, " 3"],
     R_wo: Float[Array, "3 3"],
     config: GuideConfig,
-) -> tuple[Float[Array, "2 joints"], Float[Array, ""]]:
+) -> Tracked:
     """One step of inverse kinematics that keeps the plan's configurations with a moving object.
 
     A damped least-squares step of the arm; nothing changes while the object is where it was.
@@ -95,13 +100,12 @@ def track(
         p_wo: Object origin in world, [m].
         R_wo: Object rotation.
         config: Damping, and what counts as astray.
-
-    Returns:
-        The configurations, and how far astray they are, 0 to 1.
     """
     lower, upper = body.within(config.limit_margin)
 
-    def one(q, pos, mat):
+    def one(
+        q: Float[Array, " joints"], pos: Float[Array, " 3"], mat: Float[Array, "3 3"]
+    ) -> tuple[Float[Array, " joints"], Float[Array, ""]]:
         motion = body.kinematics.motion(q)
         turn = so3.log(R_wo @ mat @ motion.mat[PALM].T)
         way = p_wo + R_wo @ pos - motion.pos[PALM]
@@ -116,17 +120,15 @@ def track(
 
     q, residual = jax.vmap(one)(q, guide.palm_pos, guide.palm_mat)
     threshold, width = config.astray
-    return q, 0.5 * (1.0 + jnp.tanh((jnp.max(residual) - threshold) / width))
+    return Tracked(q, 0.5 * (1.0 + jnp.tanh((jnp.max(residual) - threshold) / width)))
 
 
 def follow(
     guide: Guide,
-    q: Float[Array, "2 joints"],
-    astray: Float[Array, ""],
+    tracked: Tracked,
     left: Float[Array, ""],
     motion: Motion,
-    p_wo: Float[Array, " 3"],
-    R_wo: Float[Array, "3 3"],
+    around: Surroundings,
     config: GuideConfig,
     dt: float,
 ) -> tuple[GuideGoal, Float[Array, ""]]:
@@ -134,22 +136,20 @@ def follow(
 
     Args:
         guide: The plan.
-        q: Its configurations for the object's present pose, [rad].
-        astray: How far they are from it, 0 to 1.
+        tracked: Its configurations for the object's present pose.
         left: Share of the retreat that was left after the last tick, 1 at the start.
         motion: The robot.
-        p_wo: Object origin in world, [m].
-        R_wo: Object rotation.
+        around: The object.
         config: Length of the funnel, alignment and speed.
         dt: Control period, [s].
     """
-
+    p_wo, R_wo, q = around.p_wo, around.R_wo, tracked.q
     way = guide.palm_pos[1] - guide.palm_pos[0]
     between = so3.log(guide.palm_mat[1] @ guide.palm_mat[0].T)
     q_way = q[1] - q[0]
     shift = jnp.where(guide.known, R_wo @ guide.tip_shift, 0.0)
 
-    def palm_at(share):
+    def palm_at(share: Float[Array, ""]) -> tuple[Float[Array, " 3"], Float[Array, "3 3"]]:
         mat = so3.exp(share * between) @ guide.palm_mat[0]
         return p_wo + R_wo @ (guide.palm_pos[0] + share * way), R_wo @ mat
 
@@ -169,7 +169,7 @@ def follow(
         palm_mat=mat,
         offset=new * shift,
         left=jnp.where(guide.known, new, 0.0),
-        astray=astray,
+        astray=tracked.astray,
         q_rate=rate * q_way,
         palm_rate=rate * (R_wo @ way),
         offset_rate=rate * shift,

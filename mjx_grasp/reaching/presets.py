@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import SelectionConfig
-from mjx_grasp.reaching.config import ReachConfig
+from mjx_grasp.reaching.config import HandoffGate, ReachConfig
 from mjx_grasp.reaching.planning import PlanConfig
+from mjx_grasp.records.settings import Settings
 
 
 @dataclass(frozen=True)
-class Preset:
+class ReachPreset(Settings):
     """Settings of everything that reaches."""
 
     reach: ReachConfig
+    """of the controller"""
     selection: SelectionConfig
+    """of the candidates, and the targets they give"""
     plan: PlanConfig | None
     """None: the selection does not look ahead."""
 
 
-def _additions() -> dict[str, Preset]:
+def _additions() -> dict[str, ReachPreset]:
     """The presets in the order in which each adds one thing to the one before."""
-    paper = Preset(ReachConfig(), SelectionConfig(), None)
+    paper = ReachPreset(ReachConfig(), SelectionConfig(), None)
     steps = {"paper": paper}
 
-    def add(name: str, **changes) -> None:
+    def add(name: str, **changes: Any) -> None:
         steps[name] = replace(steps[list(steps)[-1]], **changes)
 
-    def reach(**parts) -> ReachConfig:
+    def reach(**parts: dict[str, Any]) -> ReachConfig:
         last = steps[list(steps)[-1]].reach
         new = {name: replace(getattr(last, name), **fields) for name, fields in parts.items()}
         return replace(last, **new)
@@ -47,7 +51,7 @@ def _additions() -> dict[str, Preset]:
             controller={
                 "reselections": 6,
                 "stall_time": 0.5,
-                "handoff_tips": 0.008,
+                "gate": HandoffGate(tips=0.008),
                 "replan_moved": 0.03,
             },
         ),
@@ -65,7 +69,7 @@ something, which bounds of the nearest points alone do not rule out; ``default``
 progress stalls, handoff when every tip is near."""
 
 
-def preset(name: str) -> Preset:
+def preset(name: str) -> ReachPreset:
     """Settings by name.
 
     Raises:
@@ -76,16 +80,16 @@ def preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def for_sweep(settings: Preset) -> Preset:
+def for_sweep(settings: ReachPreset) -> ReachPreset:
     """No handoff and no cap: a reach ends when the fine timer is at 7 s, or after 15 s (§3).
 
-    There is no re-selection at the time-out, which would restart the timer; what looks ahead may
-    change its plan earlier, while the timer runs on.
+    The controller's gate still tells when it would have handed off. There is no re-selection at the
+    time-out, which would restart the timer; what looks ahead may change its plan earlier, while the
+    timer runs on.
     """
     controller = replace(
         settings.reach.controller,
-        handoff_midpoint=-1.0,
-        handoff_largest=-1.0,
+        hands_off=False,
         fine_timeout=7.0,
         timeout=15.0,
         reselect_late=False,

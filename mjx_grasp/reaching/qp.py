@@ -16,57 +16,51 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mjx_grasp.geometry.linear import full_precision
 from mjx_grasp.reaching.config import SolverConfig
 
 _TINY = 1e-12
 
 
 class QP(NamedTuple):
-    """One problem.
-
-    Attributes:
-        P: ``[n, n]`` symmetric, positive definite.
-        q: ``[n]``.
-        A: ``[m, n]`` half-spaces; a row of zeros with b ≤ 0 is none.
-        b: ``[m]`` their lower bounds.
-        lower, upper: ``[n]`` the box.
-    """
+    """One problem."""
 
     P: Float[Array, "n n"]
+    """symmetric, positive definite"""
     q: Float[Array, " n"]
+    """the linear term"""
     A: Float[Array, "m n"]
+    """half-spaces; a row of zeros with b ≤ 0 is none"""
     b: Float[Array, " m"]
+    """their lower bounds"""
     lower: Float[Array, " n"]
+    """the box, from here"""
     upper: Float[Array, " n"]
+    """to here"""
 
 
 class WarmStart(NamedTuple):
-    """What one solution leaves to the next, in the units of the problem.
-
-    Attributes:
-        box: ``[n]`` copy of x within the box.
-        rows: ``[m]`` copy of Ax within the half-spaces.
-        box_dual, rows_dual: Multipliers over the step sizes.
-    """
+    """What one solution leaves to the next, in the units of the problem."""
 
     box: Float[Array, " n"]
+    """copy of x within the box"""
     rows: Float[Array, " m"]
+    """copy of Ax within the half-spaces"""
     box_dual: Float[Array, " n"]
+    """multipliers of the box over its step size"""
     rows_dual: Float[Array, " m"]
+    """multipliers of the half-spaces over theirs"""
 
 
 class Solution(NamedTuple):
-    """What the solver found.
-
-    Attributes:
-        x: ``[n]`` within the box.
-        violation: Largest ``b − A x``, in the units of b; ≤ 0 where all rows hold.
-        warm: Where the next solution starts.
-    """
+    """What the solver found."""
 
     x: Float[Array, " n"]
+    """within the box"""
     violation: Float[Array, ""]
+    """largest ``b − A x``, in the units of b; ≤ 0 where all rows hold"""
     warm: WarmStart
+    """where the next solution starts"""
 
 
 def cold_start(n: int, m: int) -> WarmStart:
@@ -88,6 +82,7 @@ def scales(problem: QP) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
     return scale, 1.0 / jnp.sqrt(jnp.sum((problem.A * scale) ** 2, axis=1) + _TINY)
 
 
+@full_precision
 def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     """Solves one problem; batched by ``vmap``.
 
@@ -96,12 +91,6 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
         warm: The last tick's, or :func:`cold_start`.
         config: Steps and iterations.
     """
-    # No accelerator shall round the products to TF32.
-    with jax.default_matmul_precision("highest"):
-        return _solve(problem, warm, config)
-
-
-def _solve(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     P, q, A, b, lower, upper = problem
     scale, row_scale = scales(problem)
     A_s = A * scale * row_scale[:, None]
@@ -117,7 +106,7 @@ def _solve(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     K_inverse = inverse_spd(K)
     start = -K_inverse @ (q * scale)
 
-    def iterate(_, state):
+    def iterate(_: int, state: tuple[Array, ...]) -> tuple[Array, ...]:
         box, rows, box_dual, rows_dual = state
         rhs = rho_b * (box - box_dual) + rho_r * ((rows - rows_dual) @ A_s)
         y = start + K_inverse @ rhs

@@ -1,4 +1,4 @@
-"""Nothing is ever left half-written: write beside the target, then rename over it."""
+"""Files: never left half-written, refused before the work if they cannot be, read with care."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 
 
 @contextmanager
@@ -38,20 +38,65 @@ def check_writable(field: str, path: str | Path) -> None:
 
     Args:
         field: The setting that names it.
-        path: The file that will be written; folders to it are made then.
+        path: The file that will be written, in a folder that is there.
 
     Raises:
         InputError: It cannot be.
     """
     path = Path(path)
+    if not path.absolute().parent.exists():
+        found = f"{path}, in a folder that does not exist ({path.parent})"
+        raise InputError(field, found, "a file in a folder that is there")
     try:
         if path.is_dir():
             raise IsADirectoryError(None, "it is a folder")
-        folder = next(p for p in path.absolute().parents if p.exists())
-        tempfile.TemporaryFile(dir=folder).close()
+        tempfile.TemporaryFile(dir=path.absolute().parent).close()
     except OSError as error:
         expected = f"a file that can be written ({error.strerror})"
         raise InputError(field, str(path), expected) from None
+
+
+def check_new_folder(field: str, folder: str | Path) -> None:
+    """Makes sure that results can be written to a folder, which need not be there yet.
+
+    Args:
+        field: The setting that names it.
+        folder: The folder; it is made, with those above it, when something is written.
+
+    Raises:
+        InputError: They cannot be.
+    """
+    path = Path(folder).absolute()
+    try:
+        tempfile.TemporaryFile(dir=next(p for p in (path, *path.parents) if p.exists())).close()
+    except OSError as error:
+        expected = f"a folder to which results can be written ({error.strerror})"
+        raise InputError(field, str(folder), expected) from None
+
+
+def read_json(path: str | Path, expected: str) -> dict[str, Any]:
+    """Reads an object of JSON.
+
+    Args:
+        path: The file.
+        expected: What it should hold, for the error.
+
+    Raises:
+        FileError: It is missing, unreadable, no JSON, nested too deep, or no object.
+    """
+    try:
+        document = json.loads(Path(path).read_text())
+    except FileNotFoundError:
+        raise FileError(path, "no such file", expected) from None
+    except OSError as error:
+        raise FileError(path, error.strerror or "an unreadable file", expected) from None
+    except ValueError as error:
+        raise FileError(path, f"no JSON ({error})", expected) from None
+    except RecursionError:
+        raise FileError(path, "JSON that is nested too deep", expected) from None
+    if not isinstance(document, dict):
+        raise FileError(path, f"a JSON {type(document).__name__}", f"{expected}, a JSON object")
+    return document
 
 
 def write_json(path: str | Path, content: Any) -> None:

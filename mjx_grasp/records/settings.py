@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
+import operator
+import sys
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,7 +36,7 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Whether a number lies in the range; what is no number does not."""
-        if self.finite and not math.isfinite(value):
+        if not abs(value) <= sys.float_info.max and (self.finite or abs(value) != math.inf):
             return False
         return self.low < value <= self.high or (value == self.low and not self.above)
 
@@ -53,7 +56,41 @@ def _short(number: float) -> str:
     return str(number) if isinstance(number, int) else f"{number:g}"
 
 
-_ANY = Range(finite=False)
+@dataclass(frozen=True)
+class Several:
+    """How many values there are, and in what order; part of a type, as `Range` is."""
+
+    least: int = 1
+    ascending: bool = False
+    """Whether no value may be less than the one before it."""
+    strictly: bool = False
+    """Whether each has to be more."""
+
+    def holds(self, values: tuple[Any, ...]) -> bool:
+        """Whether there are as many and in order."""
+        before = operator.lt if self.strictly else operator.le
+        ordered = not self.ascending or all(before(a, b) for a, b in itertools.pairwise(values))
+        return len(values) >= self.least and ordered
+
+    def __str__(self) -> str:
+        order = "different ones in ascending order" if self.strictly else "in ascending order"
+        return f"{self.least} or more" + (f", {order}" if self.ascending else "")
+
+
+@dataclass(frozen=True)
+class Suffix:
+    """How the name of a file ends; part of a type, as `Range` is."""
+
+    names: tuple[str, ...]
+    """with the dot"""
+
+    def holds(self, path: Path) -> bool:
+        """Whether a name ends so."""
+        return path.suffix in self.names
+
+    def __str__(self) -> str:
+        return f"a file name ending in {' or '.join(self.names)}"
+
 
 Finite = Annotated[float, Range()]
 Positive = Annotated[float, Range(0, above=True)]
@@ -61,8 +98,11 @@ NonNegative = Annotated[float, Range(0)]
 Share = Annotated[float, Range(0, 1)]
 PositiveOrNever = Annotated[float, Range(0, above=True, finite=False)]
 """A threshold that infinity switches off."""
-Count = Annotated[int, Range(1)]
-WholeNumber = Annotated[int, Range(0)]
+_MOST = 2**31 - 1  # what an index of JAX holds
+Count = Annotated[int, Range(1, _MOST)]
+WholeNumber = Annotated[int, Range(0, _MOST)]
+Interval = Annotated[tuple[Finite, Finite], Several(ascending=True)]
+"""A lowest and a highest value."""
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 """What NumPy and JAX both take as a seed."""
 
@@ -74,9 +114,11 @@ class Settings:
     def __post_init__(self) -> None:
         kind: Any = type(self)
         for name, hint in _hints(kind).items():
-            problem = _problem(hint, getattr(self, name))
-            if problem is not None:
-                raise InputError(self.name_of(name), *problem)
+            found = getattr(self, name)
+            expected = _expected(hint, found)
+            if expected is not None:
+                found = str(found) if isinstance(found, Path) else found
+                raise InputError(self.name_of(name), found, expected)
 
     def name_of(self, field_name: str) -> str:
         """What a field is called in messages."""
@@ -111,7 +153,7 @@ def to_record(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-S = TypeVar("S", bound=Settings)
+S = TypeVar("S")
 
 
 def from_record(kind: type[S], record: Any, where: str = "") -> S:
@@ -129,11 +171,11 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
     where = where or kind.__name__
     if not isinstance(record, Mapping):
         raise InputError(where, record, f"the fields of {kind.__name__}")
-    fields = {f.name: f for f in dataclasses.fields(kind)}
+    cached: Any = kind  # of whose hash a type checker thinks as an instance's
+    fields = {f.name: f for f in dataclasses.fields(cached)}
     unknown = sorted(set(record) - set(fields))
     if unknown:
         raise InputError(where, ", ".join(unknown), f"fields of {kind.__name__} alone")
-    cached: Any = kind  # of whose hash a type checker thinks as an instance's
     hints, values = _hints(cached), {}
     for name, known in fields.items():
         if name in record:
@@ -151,54 +193,52 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
 
 
-def _bare(hint: Any) -> tuple[Any, Range | None]:
-    """A type without its annotation, and the range among it."""
+Limit = Range | Several | Suffix
+
+
+def _bare(hint: Any) -> tuple[Any, list[Limit]]:
+    """A type without its annotation, and the limits among it."""
     if get_origin(hint) is not Annotated:
-        return hint, None
+        return hint, []
     inner, *extras = get_args(hint)
-    return inner, next((e for e in extras if isinstance(e, Range)), None)
+    return inner, [e for e in extras if isinstance(e, Limit)]
 
 
-def _problem(hint: Any, value: Any) -> tuple[Any, str] | None:
-    """What is wrong with a value, and what was expected; None if nothing is."""
-    bare, allowed = _bare(hint)
+def _expected(hint: Any, value: Any) -> str | None:
+    """What a value should have been; None if it is that."""
+    bare, limits = _bare(hint)
     origin, arguments = get_origin(bare), get_args(bare)
     if origin in (Union, types.UnionType):
-        problems = [_problem(argument, value) for argument in arguments]
-        if None in problems:
-            return None
-        words = [
-            p[1] for a, p in zip(arguments, problems, strict=True) if p and a is not type(None)
-        ]
-        return value, ", or ".join([*words, *(["None"] if type(None) in arguments else [])])
+        each = [_expected(argument, value) for argument in arguments]
+        return None if None in each else ", or ".join(map(str, each))
     if origin is Literal:
-        return None if value in arguments else (value, f"one of {', '.join(map(str, arguments))}")
-    if origin is tuple:
-        return _tuple_problem(arguments, value)
+        return None if value in arguments else f"one of {', '.join(map(str, arguments))}"
     if bare in (int, float):
-        whole = "a whole number, " if bare is int else ""
-        number = isinstance(value, int if bare is int else (int, float))
-        if (
-            not number
-            or isinstance(value, bool)
-            or not (allowed or Range(finite=False)).holds(value)
-        ):
-            return value, whole + str(allowed or "a number")
+        return _expected_number(bare, limits or [Range(finite=False)], value)
+    if origin is tuple:
+        wrong = _expected_values(arguments, value)
+    elif isinstance(bare, type) and not isinstance(value, bare):
+        wrong = "None" if bare is type(None) else f"a {bare.__name__}"
+    else:
+        wrong = None
+    return wrong or next((str(limit) for limit in limits if not limit.holds(value)), None)
+
+
+def _expected_number(kind: type, limits: list[Any], value: Any) -> str | None:
+    is_number = isinstance(value, (kind, int)) and not isinstance(value, bool)
+    if is_number and all(limit.holds(value) for limit in limits):
         return None
-    if isinstance(bare, type) and not isinstance(value, bare):
-        return value, "None" if bare is type(None) else f"a {bare.__name__}"
-    return None
+    return ("a whole number, " if kind is int else "") + " and ".join(map(str, limits))
 
 
-def _tuple_problem(arguments: tuple[Any, ...], value: Any) -> tuple[Any, str] | None:
+def _expected_values(arguments: tuple[Any, ...], value: Any) -> str | None:
     if not isinstance(value, tuple):
-        return value, "several values"
-    each = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
-    if len(each) != len(value):
-        return value, f"{len(each)} values"
-    problems = [_problem(*pair) for pair in zip(each, value, strict=True)]
-    found = next((p for p in problems if p is not None), None)
-    return None if found is None else (value, f"of each: {found[1]}")
+        return "several values"
+    hints = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
+    if len(hints) != len(value):
+        return f"{len(hints)} values"
+    each = filter(None, map(_expected, hints, value))
+    return next((f"of each: {wrong}" for wrong in each), None)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
@@ -209,10 +249,9 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         inner = [a for a in arguments if a is not type(None)]
         return value if value is None else _value(inner[0], value, where)
     if get_origin(bare) is tuple and isinstance(value, list):
-        each = [arguments[0]] * len(value) if arguments[1:] == (...,) else arguments
-        return tuple(_value(h, v, where) for h, v in zip(each, value, strict=False)) + tuple(
-            value[len(each) :]
-        )
-    if isinstance(bare, type) and issubclass(bare, Settings):
+        each = itertools.repeat(arguments[0]) if arguments[1:] == (...,) else arguments
+        known = tuple(_value(h, v, where) for h, v in zip(each, value, strict=False))
+        return (*known, *value[len(known) :])
+    if isinstance(bare, type) and dataclasses.is_dataclass(bare):
         return from_record(bare, value, where)
     return Path(value) if bare is Path and isinstance(value, str) else value

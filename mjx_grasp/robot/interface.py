@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mjx_grasp.robot.kinematics import Kinematics
+from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
 
 
@@ -83,6 +84,8 @@ def measured_from_joints(
 ) -> Measured:
     """All of `Measured` from what a driver reads: joints and torques.
 
+    Joints that move neither a pad nor the palm have no axis here: zeros.
+
     Args:
         kinematics: From `measuring_kinematics`.
         q: Joint positions, robot order [rad].
@@ -107,8 +110,5 @@ def measured_from_joints(
 
 def measuring_kinematics(robot: RobotSpec) -> Kinematics:
     """The kinematics that `measured_from_joints` needs: pads, then the palm."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
     sites = [*(finger.pad_site for finger in robot.hand.fingers), robot.hand.palm_site]
-    return Kinematics.from_model(model, sites)
+    return Kinematics.from_model(robot_mjspec(robot).compile(), sites)

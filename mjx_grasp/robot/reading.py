@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -112,6 +113,10 @@ class Section:
         """The mappings of a list under a key."""
         where = ".".join(part for part in (self.where, key) if part)
         return [Section(self.path, v, f"{where}[{i}]") for i, v in enumerate(self._list(key))]
+
+    def as_json(self) -> str:
+        """The mapping in one spelling, whatever its comments and the order of its keys."""
+        return json.dumps(self._content, sort_keys=True)
 
     def done(self) -> None:
         """Refuses keys that nobody took: a misspelt key must not be ignored.

@@ -6,6 +6,7 @@ checks one and prints what it understood.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import tyro
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.robot.identity import RobotIdentity
 from mjx_grasp.robot.reading import Section
 
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -83,6 +85,13 @@ class RobotSpec:
     arm: ArmSpec
     hand: HandSpec
     mjcf: Path
+    digest: str
+    """SHA-256 of description and MJCF as they were read; fixing idle fingers leaves it."""
+
+    @property
+    def identity(self) -> RobotIdentity:
+        """What files that are made with this robot say of it."""
+        return RobotIdentity(self.name, self.digest)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -145,15 +154,15 @@ def load_robot(name: str | Path = "rizon4_hx5d20") -> RobotSpec:
 
 def _read(section: Section) -> RobotSpec:
     arm, hand = section.section("arm"), section.section("hand")
-    spec = RobotSpec(
-        name=section.name("name"),
-        arm=_read_arm(arm),
-        hand=_read_hand(hand),
-        mjcf=section.path.parent / section.name("mjcf"),
-    )
+    name, mjcf = section.name("name"), section.path.parent / section.name("mjcf")
+    arm_spec, hand_spec = _read_arm(arm), _read_hand(hand)
     for part in (section, arm, hand):
         part.done()
-    return spec
+    if not mjcf.is_file():
+        raise FileError(mjcf, "no such file", f"the MJCF that {section.path} names")
+    # Neither comments nor how a checkout ends its lines make another robot.
+    known = section.as_json().encode() + mjcf.read_bytes().replace(b"\r\n", b"\n")
+    return RobotSpec(name, arm_spec, hand_spec, mjcf, hashlib.sha256(known).hexdigest())
 
 
 def _read_arm(section: Section) -> ArmSpec:
@@ -239,8 +248,6 @@ def _unit_axis(section: Section, key: str) -> tuple[float, float, float]:
 
 def _check_against_model(spec: RobotSpec, path: Path) -> None:
     """Everything the description names exists in the MJCF and fits it."""
-    if not spec.mjcf.is_file():
-        raise FileError(spec.mjcf, "no such file", f"the MJCF that {path} names")
     try:
         model = mujoco.MjModel.from_xml_path(str(spec.mjcf))
     except ValueError as error:

@@ -10,7 +10,7 @@ leaves them; joints and the object's pose are those after it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -57,6 +57,7 @@ class Truth(NamedTuple):
     """whether a contact or constraint buffer overflowed during the tick"""
 
 
+@runtime_checkable
 class Physics(Protocol):
     """Steps worlds of one scene. All methods are pure and may be called inside `jax.jit`."""
 

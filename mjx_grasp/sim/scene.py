@@ -9,13 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.records.settings import Finite, Settings
+from mjx_grasp.records.settings import (
+    Count,
+    Finite,
+    Interval,
+    NonNegative,
+    Positive,
+    Range,
+    Settings,
+    Share,
+)
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
 
@@ -30,65 +41,59 @@ _NUM_FORCE_FIELDS = 4  # a contact sensor's "found" (1) and "force" (3)
 
 
 @dataclass(frozen=True)
-class SceneConfig:
+class SceneConfig(Settings):
     """Physics of the scene (method §0 and §5)."""
 
-    physics_dt: float = 0.002
-    """Physics step [s]."""
-    friction: tuple[float, float, float] = (0.8, 0.02, 1e-4)
-    """Sliding [-], torsional [m] and rolling [m] friction of every contact with the object; the
-    sliding one where a world is given none of its own, as trainings do (`StartNoise.friction`)."""
-    solref: tuple[float, float] = (0.005, 1.0)
-    """Contact time constant [s] and damping ratio."""
-    solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)
-    """Contact impedance: two levels [-] and the width between them [m]."""
-    solver_iterations: int = 20
-    """Most Newton iterations of a step; on a GPU all worlds wait for the one that needs most."""
-    line_search_iterations: int = 20
-    """Most line-search steps of a Newton iteration."""
+    physics_dt: Annotated[float, Range(0, 0.01, above=True)] = 0.002
+    """physics step [s]"""
+    friction: tuple[Positive, NonNegative, NonNegative] = (0.8, 0.02, 1e-4)
+    """sliding [-], torsional [m] and rolling [m] friction of every contact with the object; the
+    sliding one where a world is given none of its own, as trainings do (`StartNoise.friction`)"""
+    solref: tuple[Positive, Positive] = (0.005, 1.0)
+    """contact time constant [s] and damping ratio [-]"""
+    solimp: tuple[Share, Share, Positive] = (0.95, 0.99, 0.001)
+    """contact impedance: two levels [-] and the width between them [m]"""
+    solver_iterations: Count = 20
+    """most Newton iterations of a step; on a GPU all worlds wait for the one that needs most [-]"""
+    line_search_iterations: Count = 20
+    """most line-search steps of a Newton iteration [-]"""
     fix_idle_fingers: bool = False
-    """Whether fingers that take no part in a grasp are rigid. Faster, and for training only:
-    evaluation moves every joint."""
-    table_centre: tuple[float, float] = (0.35, 0.0)
-    """Centre of the table top in the arm's base frame [m]."""
-    table_half_size: tuple[float, float, float] = (0.65, 0.70, 0.02)
-    """Half extents of the table box [m]. A finite box: a plane would be hit by parked pieces."""
-
-    def __post_init__(self):
-        if not 0 < self.physics_dt <= 0.01:
-            raise InputError("SceneConfig.physics_dt", self.physics_dt, "0 < s <= 0.01")
-        if min(self.friction) < 0 or self.friction[0] == 0:
-            raise InputError("SceneConfig.friction", self.friction, "a positive sliding friction")
+    """whether fingers that take no part in a grasp are rigid: faster, and for training only;
+    evaluation moves every joint"""
+    table_centre: tuple[Finite, Finite] = (0.35, 0.0)
+    """centre of the table top in the arm's base frame [m]"""
+    table_half_size: tuple[Positive, Positive, Positive] = (0.65, 0.70, 0.02)
+    """half extents of the table, a finite box: a plane would be hit by parked pieces [m]"""
 
 
 @dataclass(frozen=True)
 class ObjectArea(Settings):
     """Where on the table objects lie (method §0), in the arm's base frame."""
 
-    x: tuple[Finite, Finite] = (0.40, 0.65)
+    x: Interval = (0.40, 0.65)
     """in front of the arm [m]"""
-    y: tuple[Finite, Finite] = (-0.25, 0.25)
+    y: Interval = (-0.25, 0.25)
     """to its sides [m]"""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("x", "y"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise InputError(self.name_of(name), (low, high), "least <= greatest [m]")
 
 
 @dataclass(frozen=True)
 class ObjectFields:
     """Model fields that differ between worlds, one row per object of the scene."""
 
-    geom_pos: np.ndarray  # [K, ngeom, 3] m; unused pieces are parked
-    body_mass: np.ndarray  # [K, nbody] kg
-    body_subtreemass: np.ndarray  # [K, nbody] kg
-    body_ipos: np.ndarray  # [K, nbody, 3] m
-    body_iquat: np.ndarray  # [K, nbody, 4]
-    body_inertia: np.ndarray  # [K, nbody, 3] kg m^2
-    body_invweight0: np.ndarray  # [K, nbody, 2]
+    geom_pos: Float[np.ndarray, "k geom 3"]
+    """unused pieces are parked [m]"""
+    body_mass: Float[np.ndarray, "k body"]
+    """[kg]"""
+    body_subtreemass: Float[np.ndarray, "k body"]
+    """[kg]"""
+    body_ipos: Float[np.ndarray, "k body 3"]
+    """[m]"""
+    body_iquat: Float[np.ndarray, "k body 4"]
+    """[-]"""
+    body_inertia: Float[np.ndarray, "k body 3"]
+    """[kg m²]"""
+    body_invweight0: Float[np.ndarray, "k body 2"]
+    """[1/kg] and [1/(kg m²)]"""
 
     NAMES = (
         "geom_pos",
@@ -105,18 +110,21 @@ class ObjectFields:
 class Addresses:
     """Where the compiled model keeps what the rest of the package reads."""
 
-    robot_qpos: np.ndarray  # [nq_robot] in robot order: arm, then hand
-    robot_dof: np.ndarray  # [nq_robot]
-    robot_ctrl: np.ndarray  # [nq_robot]
-    object_qpos: np.ndarray  # [7]
-    object_dof: np.ndarray  # [6]
+    robot_qpos: Int[np.ndarray, " joint"]
+    """in robot order: arm, then hand"""
+    robot_dof: Int[np.ndarray, " joint"]
+    robot_ctrl: Int[np.ndarray, " joint"]
+    object_qpos: Int[np.ndarray, "7"]
+    object_dof: Int[np.ndarray, "6"]
     object_body: int
-    object_geoms: np.ndarray  # [P]
+    object_geoms: Int[np.ndarray, " piece"]
     palm_site: int
-    pad_sites: np.ndarray  # [F]
-    tip_sites: np.ndarray  # [F]
-    tip_force: np.ndarray  # [F, 4] sensordata addresses: found, force xyz
-    finger_force: np.ndarray  # [F, 4]
+    pad_sites: Int[np.ndarray, " finger"]
+    tip_sites: Int[np.ndarray, " finger"]
+    tip_force: Int[np.ndarray, "finger 4"]
+    """in the sensor data: found, then the force along x, y, z"""
+    finger_force: Int[np.ndarray, "finger 4"]
+    """the same, of whole fingers"""
 
 
 @dataclass(frozen=True)

@@ -109,18 +109,18 @@ def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:
         where: What they are called in messages.
 
     Raises:
-        InputError: An unknown field, or an impossible value.
+        InputError: An unknown field, an impossible value, or a flat list that is not whole.
     """
-    if isinstance(record, Mapping) and "grip_force" in record:
+    if isinstance(record, Mapping) and not _ONLY_FLAT.isdisjoint(record):
         record = _nested(record, where)
     return from_record(ClosingTaskConfig, record, where)
 
 
 def _nested(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The flat record of the first policies, sorted into today's parts."""
-    unknown = sorted(set(flat) - set(_FLAT))
-    if unknown:
-        raise InputError(where, ", ".join(unknown), "fields of the first version's task alone")
+    for name in (*sorted(flat.keys() - _FLAT.keys()), *sorted(_FLAT.keys() - flat.keys())):
+        expected = "all fields of the first version's task and no others"
+        raise InputError(f"{where}.{name}", flat.get(name, "nothing"), expected)
     nested: dict[str, Any] = {}
     for name, value in flat.items():
         *parts, last = _FLAT[name].split(".")
@@ -178,3 +178,4 @@ _FLAT = {
     "success_hold_s": "success.hold_s",
     "success_slip": "success.slip",
 }
+_ONLY_FLAT = {old for old, new in _FLAT.items() if old != new}

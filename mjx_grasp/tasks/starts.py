@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -16,6 +15,7 @@ from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.mjcf import joint_columns
+from mjx_grasp.sim.native import at_rest
 from mjx_grasp.sim.physics import Truth, WorldParams, make_params
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.config import StartNoise
@@ -85,7 +85,7 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
     qpos[:, at.object_qpos[3:]] = handoffs.object_quat
     ctrl = np.zeros((n, model.nu))
     ctrl[:, at.robot_ctrl] = q
-    measured, truth = _at_rest(scene, qpos, substeps)
+    measured, truth = at_rest(scene, qpos, substeps)
     return StartTable(
         object_index=jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32),
         qpos=jnp.asarray(qpos, jnp.float32),
@@ -181,45 +181,6 @@ def _robot_joints(scene: Scene, handoffs: HandoffSet) -> np.ndarray:
             "idle fingers at zero, or fix_idle_fingers off",
         )
     return handoffs.q[:, columns]
-
-
-def _at_rest(
-    scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int
-) -> tuple[Measured, Truth]:
-    """What would be measured and true if the robot held still at each row."""
-    model, at = scene.model, scene.addresses
-    data = mujoco.MjData(model)
-    n, f, joints = len(qpos), len(at.pad_sites), model.dof_jntid[at.robot_dof]
-    policy_joints = sum(len(finger.policy_joints) for finger in scene.robot.hand.fingers)
-    rows: dict[str, list[np.ndarray]] = {
-        k: [] for k in ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
-    }
-    for row in qpos:
-        data.qpos[:] = row
-        mujoco.mj_kinematics(model, data)
-        rows["palm_pos"].append(data.site_xpos[at.palm_site].copy())
-        rows["palm_mat"].append(data.site_xmat[at.palm_site].reshape(3, 3).copy())
-        rows["pad_pos"].append(data.site_xpos[at.pad_sites])
-        rows["pad_mat"].append(data.site_xmat[at.pad_sites].reshape(f, 3, 3))
-        rows["joint_axis"].append(data.xaxis[joints])
-        rows["joint_anchor"].append(data.xanchor[joints])
-    measured = Measured(
-        q=jnp.asarray(qpos[:, at.robot_qpos], jnp.float32),
-        qd=jnp.zeros((n, len(at.robot_dof)), jnp.float32),
-        external_torque=jnp.zeros((n, substeps, policy_joints), jnp.float32),
-        **{k: jnp.asarray(np.asarray(v, np.float32)) for k, v in rows.items()},
-    )
-    truth = Truth(
-        object_pos=jnp.asarray(qpos[:, at.object_qpos[:3]], jnp.float32),
-        object_quat=jnp.asarray(qpos[:, at.object_qpos[3:]], jnp.float32),
-        object_vel=jnp.zeros((n, 6), jnp.float32),
-        tip_found=jnp.zeros((n, f), bool),
-        tip_force=jnp.zeros((n, f, 3), jnp.float32),
-        finger_force=jnp.zeros((n, f, 3), jnp.float32),
-        constraints=jnp.zeros(n, jnp.int32),
-        overflow=jnp.zeros(n, bool),
-    )
-    return measured, truth
 
 
 def _hulls(scene: Scene) -> np.ndarray:

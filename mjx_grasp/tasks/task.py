@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int
 
@@ -47,6 +47,7 @@ class EpisodeSummary(NamedTuple):
     """largest rise of the object [m]"""
 
 
+@runtime_checkable
 class Task(Protocol):
     """Worlds that advance together; all methods are pure and work inside `jax.jit`.
 

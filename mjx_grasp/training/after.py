@@ -55,7 +55,8 @@ def evaluate_run(
         runs += trials.values()
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
-    write_results(base.out, rows, made, label=label, untrained_n=task.grip.force, **counted)
+    robot = scene.robot.identity
+    write_results(base.out, rows, made, robot, label=label, untrained_n=task.grip.force, **counted)
     console.print(success_table(rows, scans=config.objects_dir is not None))
     console.print(untrained_note(task.grip.force))
 
@@ -74,7 +75,7 @@ def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
     return EvaluateConfig(
         out=out,
         episodes=config.evaluation_episodes,
-        seed=config.seed + 1,
+        seed=(config.seed + 1) % 2**32,
         friction=sum(noise.friction) / 2,
         offset_mm=1e3 * noise.offset_m,
         angle_deg=math.degrees(noise.angle_rad),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +10,15 @@ from mjx_grasp.closing.config import ActionConfig, GripConfig, LiftConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
-from mjx_grasp.records.settings import from_record, to_record
+from mjx_grasp.records.atomic import read_json
+from mjx_grasp.records.settings import (
+    CommandSettings,
+    Count,
+    Seed,
+    WholeNumber,
+    from_record,
+    to_record,
+)
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
 from mjx_grasp.tasks.config import StartNoise, task_from_record
@@ -20,7 +27,7 @@ Preset = Literal["auto", "cpu", "gpu", "paper"]
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(CommandSettings):
     """A training run."""
 
     preset: Preset = "auto"
@@ -28,37 +35,33 @@ class TrainConfig:
     as the other settings' defaults is what the preset sets. paper has the published actions, critic
     and number of worlds and steps; what the publication leaves open is as in the others."""
     objects: tuple[str, ...] = ("eight",)
-    """Objects of the catalogue, or groups (eight, train, held_out, all), to train on."""
+    """objects of the catalogue, or groups (eight, train, held_out, all), to train on"""
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     robot: str = "rizon4_hx5d20"
-    """Name or description file of the robot."""
+    """name or description file of the robot"""
     handoffs: Path | None = None
-    """Handoff set; made for the objects first if none is given."""
-    handoffs_per_object: int = 64
-    """States per object when they are made first."""
+    """handoff set; made for the objects first if none is given"""
+    handoffs_per_object: Count = 64
+    """states per object when they are made first [-]"""
     out: Path | None = None
-    """Folder of the run; runs/<preset>-<time> by default."""
+    """folder of the run; runs/<preset>-<time> by default"""
     resume: Path | None = None
-    """Folder of a run to continue; its own configuration is used."""
+    """folder of a run to continue; its own configuration is used"""
     engine: Engine = "mjx"
-    """What steps the physics: mjx (Warp, GPU or CPU) or mujoco (native, in threads)."""
-    seed: int = 0
-    """Of start states, parameters and exploration; on a GPU a run does not quite repeat itself."""
+    """what steps the physics: mjx (Warp, GPU or CPU) or mujoco (native, in threads)"""
+    seed: Seed = 0
+    """of start states, parameters and exploration; on a GPU a run does not quite repeat itself"""
     fit_memory: bool = False
-    """Take as many worlds as the device's memory holds, 8,192 at most: beyond that a training is no
-    faster. Off where --ppo.worlds is given."""
-    evaluation_episodes: int = 64
-    """Episodes per object after training, for policy, untrained policy and squeeze; 0 for none."""
+    """take as many worlds as the device's memory holds, 8,192 at most: beyond that a training is no
+    faster; off where --ppo.worlds is given"""
+    evaluation_episodes: WholeNumber = 64
+    """episodes per object after training, for policy, untrained policy and squeeze; 0 for none"""
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     noise: StartNoise = field(default_factory=StartNoise)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
-
-    def __post_init__(self):
-        if self.evaluation_episodes < 0:
-            raise InputError("--evaluation-episodes", self.evaluation_episodes, "0 or more")
 
 
 def preset_config(preset: Preset) -> TrainConfig:
@@ -101,13 +104,13 @@ def preset_config(preset: Preset) -> TrainConfig:
     raise InputError("--preset", preset, "auto, cpu, gpu or paper")
 
 
-def from_stored(record: Any) -> TrainConfig:
+def from_stored(record: dict[str, Any]) -> TrainConfig:
     """The settings of a run of today or before.
 
     Raises:
         InputError: A field is unknown or its value is not allowed.
     """
-    if isinstance(record, dict) and "task" in record:
+    if "task" in record:
         record = record | {"task": to_record(task_from_record(record["task"]))}
     return from_record(TrainConfig, record, "config")
 
@@ -119,13 +122,10 @@ def stored_config(folder: Path) -> TrainConfig:
         FileError: There is no readable configuration, or one with unknown or impossible settings.
     """
     path = folder / "config.json"
+    if not path.exists():
+        raise FileError(folder, "no run: config.json is missing", "a run's folder")
+    expected = "the settings of a run"
     try:
-        stored = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise FileError(folder, "no run: config.json is missing", "a run's folder") from None
-    except (OSError, ValueError) as error:
-        raise FileError(path, f"no readable configuration ({error})", "a run's folder") from None
-    try:
-        return replace(from_stored(stored), resume=folder)
-    except (InputError, TypeError, AttributeError) as error:
-        raise FileError(path, str(error), "the settings of a run") from None
+        return replace(from_stored(read_json(path, expected)), resume=folder)
+    except InputError as error:
+        raise FileError(path, str(error), expected) from None

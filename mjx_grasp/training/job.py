@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import time
 from collections.abc import Sequence
@@ -24,10 +23,11 @@ from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.identity import RobotIdentity
+from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.rewards import RewardTerm
@@ -51,20 +51,21 @@ def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, 
         KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
     """
     require_wandb(config.loop.wandb_project)
+    folder = _run_folder(config)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
-    stored = None if config.handoffs is None else load_handoffs(config.handoffs)
+    robot = load_robot(config.robot)
+    stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
     _check_same_handoffs(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
-    robot = load_robot(config.robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
-    folder = _open_run(config)
+    _open_run(config, folder)
     try:
         if stored is None or world is None:
             try:
-                stored = _made_handoffs(config, folder, console)
+                stored = _made_handoffs(config, robot, folder, console)
             except MjxGraspError:
                 if config.resume is None:
                     _discard_run(folder)
@@ -100,10 +101,11 @@ def _run(
     )
     state = init_state(ppo, env, config.seed)
     if resumed is not None:
-        state = restore_checkpoint(resumed, state, env)
-        console.print(f"resumed from {resumed.name}")
+        state, goes_on = restore_checkpoint(resumed, state, env)
+        worlds = "" if goes_on else ", with fresh worlds: those of its version were others"
+        console.print(f"resumed from {resumed.name}{worlds}")
     state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
-    _save_policy(folder, state, config, names, ppo)
+    _save_policy(folder, state, config, names, world.scene.robot.identity)
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
         evaluate_run(folder, config, world, held_out, console)
@@ -113,19 +115,19 @@ def _check_same_handoffs(config: TrainConfig) -> None:
     """Refuses to resume on other start states than the run began with.
 
     Raises:
-        FileError: The handoff file has changed since.
+        FileError: The handoff file has changed since, or the run's provenance cannot be read.
     """
-    path = None if config.resume is None else config.resume / "provenance.json"
-    if path is None or config.handoffs is None or not path.is_file():
+    if config.resume is None:
         return
-    try:
-        began = json.loads(path.read_text()).get("sha256", {}).get("handoffs")
-    except (OSError, ValueError, AttributeError) as error:
-        raise FileError(path, f"no provenance ({error})", "that of the run to resume") from None
-    digest = file_digests(handoffs=config.handoffs)["handoffs"]
-    if began not in (None, digest):
+    path, expected = config.resume / "provenance.json", "the provenance of the run to resume"
+    made_of = read_json(path, expected).get("sha256", {})
+    began = made_of.get("handoffs") if isinstance(made_of, dict) else made_of
+    if not isinstance(began, str | None):
+        raise FileError(path, f"sha256 = {made_of!r}", expected)
+    digest = file_digests(handoffs=config.handoffs).get("handoffs")
+    if began is not None and digest not in (None, began):
         what = f"the file that {config.resume} began with (SHA-256 {began[:12]})"
-        raise FileError(config.handoffs, f"a changed file (SHA-256 {digest[:12]})", what)
+        raise FileError(config.handoffs or path, f"a changed file (SHA-256 {digest[:12]})", what)
 
 
 def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
@@ -150,8 +152,13 @@ def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Con
     return build_world(scene, states_of(handoffs, names, "training"), config.task.control_dt)
 
 
-def _open_run(config: TrainConfig) -> Path:
-    """The run's folder; a new run's configuration and provenance are written to it."""
+def _run_folder(config: TrainConfig) -> Path:
+    """The run's folder: that of the run to resume, or one that can be made.
+
+    Raises:
+        FileError: There is a run in it already.
+        InputError: Nothing can be written there.
+    """
     if config.resume is not None:
         return config.resume
     folder = config.out or Path("runs") / f"{config.preset}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -159,13 +166,18 @@ def _open_run(config: TrainConfig) -> Path:
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
-    check_writable("--out", folder / "config.json")
+    check_new_folder("--out", folder)
+    return folder
+
+
+def _open_run(config: TrainConfig, folder: Path) -> None:
+    """Writes the configuration and the provenance of a new run to its folder."""
+    if config.resume is not None:
+        return
     made_of = {"sha256": file_digests(handoffs=config.handoffs)}
     contents = (to_record(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
-        with replacing(folder / name) as temporary:
-            temporary.write_text(json.dumps(content, indent=2))
-    return folder
+        write_json(folder / name, content)
 
 
 def _discard_run(folder: Path) -> None:
@@ -176,7 +188,9 @@ def _discard_run(folder: Path) -> None:
         folder.rmdir()
 
 
-def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> HandoffSet:
+def _made_handoffs(
+    config: TrainConfig, robot: RobotSpec, folder: Path, console: Console
+) -> HandoffSet:
     """The set in the run's folder, made now if it is not there yet."""
     path = folder / "handoffs.npz"
     if not path.exists():
@@ -193,7 +207,7 @@ def _made_handoffs(config: TrainConfig, folder: Path, console: Console) -> Hando
                 out=path,
             )
         )
-    return load_handoffs(path)
+    return load_handoffs(path, robot=robot)
 
 
 def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
@@ -204,12 +218,17 @@ def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
 
 
 def _save_policy(
-    folder: Path, state: TrainState, config: TrainConfig, names: list[str], ppo: PPOConfig
+    folder: Path,
+    state: TrainState,
+    config: TrainConfig,
+    names: list[str],
+    robot: RobotIdentity,
 ) -> None:
     meta = {
         "task": to_record(config.task),
         "objects": names,
-        "env_steps": int(state.iteration) * ppo.steps_per_iteration,
-        "provenance": json.loads((folder / "provenance.json").read_text()),
+        "env_steps": int(state.iteration) * config.ppo.steps_per_iteration,
+        "provenance": read_json(folder / "provenance.json", "the provenance of the run"),
     }
-    policy_from_training(state.params.policy, state.normalizer, meta).save(folder / "policy.npz")
+    policy = policy_from_training(state.params.policy, state.normalizer, meta, robot)
+    policy.save(folder / "policy.npz")

@@ -21,9 +21,9 @@ from mjx_grasp.evaluation.tables import (
     read_groups,
     untrained_note,
 )
-from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
-from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
+from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
 
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2630;background:#f4f6f8;margin:0}
@@ -67,14 +67,14 @@ def write_report(
         FileError: A results file cannot be read.
     """
     run = Path(run_dir)
-    provenance = _read_json(run / "provenance.json")
+    provenance = _stored(run / "provenance.json")
     if provenance is None and results_paths:
         provenance = read_results(results_paths[0]).provenance
     sections = [
         _section("A grasp", _video(video_path, video_problem)),
         _section("Success", _results(results_paths)),
         _section("Training", _curves(run / "metrics.csv")),
-        _section("Configuration", _facts(_read_json(run / "config.json"), "config.json")),
+        _section("Configuration", _facts(_stored(run / "config.json"), "config.json")),
         _section("Provenance", _facts(provenance, "provenance.json")),
     ]
     page = (
@@ -162,12 +162,11 @@ def _facts(values: dict[str, Any] | None, name: str) -> str:
     return f"<pre>{html.escape(json.dumps(values, indent=2))}</pre>"
 
 
-def _read_json(path: Path) -> dict[str, Any] | None:
+def _stored(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_text())
-    except (OSError, ValueError):
+        return read_json(path, "facts of the run")
+    except FileError:
         return None
-    return values if isinstance(values, dict) else None
 
 
 def _image(data: bytes, alt: str, kind: str = "image/png") -> str:

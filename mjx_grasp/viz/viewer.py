@@ -19,9 +19,8 @@ from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.language.grounding import GroundingError, Target
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.viz.heatmap import THUMB, WRAP
-from mjx_grasp.viz.viewer_state import Settings, Shown, show
+from mjx_grasp.viz.viewer_state import MOST_TRIPLES, Shown, ViewerSettings, show
 
-_MOST_TRIPLES = 8
 _PARTS = ("thumb", "index", "middle")
 _FINGER = 0.15  # length of the lines outside the contacts, of the mesh's diagonal
 _WRAP_LINE, _INK, _GREY = (90, 95, 110), (40, 40, 50), (190, 190, 198)
@@ -58,13 +57,13 @@ class Viewer:
         self,
         stored: StoredHeatmap,
         target: Target,
-        settings: Settings | None = None,
+        settings: ViewerSettings | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
     ):
         viser = import_viser()
         self.heatmap, self.faces, self.target = stored.heatmap, stored.faces, target
-        self.settings = settings or Settings()
+        self.settings = settings or ViewerSettings()
         self._size = float(np.linalg.norm(np.ptp(np.asarray(self.heatmap.vertices), axis=0)))
         self._centre = np.asarray(self.heatmap.vertices).reshape(-1, 3)
         self._centre = 0.5 * (self._centre.min(axis=0) + self._centre.max(axis=0))
@@ -127,7 +126,7 @@ class Viewer:
         self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
         self.sigma = gui.add_slider("sigma [mm]", 5.0, 60.0, 1.0, 1e3 * settings.sigma)
         self.between = gui.add_checkbox("between contacts", settings.between_contacts)
-        self.triples = gui.add_slider("triples", 1, _MOST_TRIPLES, 1, settings.triples)
+        self.triples = gui.add_slider("triples", 1, MOST_TRIPLES, 1, settings.triples)
         self.to_best = gui.add_checkbox("yellow is the best score", settings.to_best)
         self.instruction = gui.add_text("go to", "", hint="by the handle, the top, …")
         self._note = gui.add_markdown("")
@@ -179,7 +178,7 @@ class Viewer:
         scene, shown = self.server.scene, self.shown
         with self.server.atomic():
             self._mesh.glb_data = self._glb(shown.colours)
-            for k in range(_MOST_TRIPLES):
+            for k in range(MOST_TRIPLES):
                 exists = k < self.settings.triples and bool(shown.triples.valid[k])
                 if exists:
                     self._draw_triple(k)

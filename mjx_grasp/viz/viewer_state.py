@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -10,33 +11,30 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import ArrayLike
 
-from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import Heatmap, steer
+from mjx_grasp.heatmap import Heatmap
 from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.nearness import steer_to
 from mjx_grasp.heatmap.sampling import Triples, sample_triples
+from mjx_grasp.records.settings import Finite, Positive, Range, Settings
+
+MOST_TRIPLES = 8
+TripleCount = Annotated[int, Range(1, MOST_TRIPLES)]
 
 
 @dataclass(frozen=True)
-class Settings:
+class ViewerSettings(Settings):
     """What a user sets in the viewer."""
 
-    anchor: tuple[float, float, float] | None = None
-    """Object frame [m]; None for the default heatmap."""
-    sigma: float = 0.030
-    """Scale of the distance from the anchor to a grasp's axis [m]."""
+    anchor: tuple[Finite, Finite, Finite] | None = None
+    """in the object frame; None for the default heatmap [m]"""
+    sigma: Positive = 0.030
+    """scale of the distance from the anchor to a grasp's axis [m]"""
     between_contacts: bool = False
-    """Whether the anchor should lie between the contacts, and not only in line with them."""
-    triples: int = 3
-    """How many of the best triples are drawn."""
+    """whether the anchor should lie between the contacts, and not only in line with them"""
+    triples: TripleCount = 3
+    """how many of the best triples are drawn [-]"""
     to_best: bool = True
-    """Whether the yellow end of the scale is the best score, else 1."""
-
-    def __post_init__(self):
-        if not self.sigma > 0:
-            raise InputError("sigma", self.sigma, "a positive length [m]")
-        if self.triples < 1:
-            raise InputError("triples", self.triples, "at least 1")
+    """whether the yellow end of the scale is the best score, else 1"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +44,9 @@ class Shown:
     score: Float[np.ndarray, " v"]
     colours: UInt8[np.ndarray, "v 3"]
     triples: Triples
-    """The best first; see ``valid`` for those that exist."""
+    """the best first; see ``valid`` for those that exist"""
     top: float
-    """The score of the yellow end."""
+    """the score of the yellow end [-]"""
 
     @property
     def best(self) -> float:
@@ -64,7 +62,7 @@ class Shown:
         return f"score {self.best:.3f}, thumb {thumb}, index and middle {wraps} mm"
 
 
-def show(heatmap: Heatmap, settings: Settings, min_distance: float = 0.02) -> Shown:
+def show(heatmap: Heatmap, settings: ViewerSettings, min_distance: float = 0.02) -> Shown:
     """What the viewer shows.
 
     Args:
@@ -74,8 +72,8 @@ def show(heatmap: Heatmap, settings: Settings, min_distance: float = 0.02) -> Sh
     """
     score = heatmap.score
     if settings.anchor is not None:
-        steering = steer_near if settings.between_contacts else steer
-        score = steering(heatmap, jnp.asarray(settings.anchor), settings.sigma)
+        anchor = jnp.asarray(settings.anchor)
+        score = steer_to(heatmap, anchor, settings.sigma, settings.between_contacts)
     drawn = sample_triples(
         jax.random.key(0), heatmap, settings.triples, score,
         temperature=0.0, min_distance=min_distance, min_score=0.0,

@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.closing.config import GuidanceConfig
 from mjx_grasp.closing.guidance import goal_frame, guidance_field, twist_norm
 
-CONFIG = ClosingConfig()
+CONFIG = GuidanceConfig()
 seeds = st.integers(0, 2**31)
 
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.closing.config import ObserverConfig
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
 
-CONFIG = ClosingConfig()
+CONFIG = ObserverConfig()
 LIMITS = np.tile(np.array([-1.0, 1.0], np.float32), (9, 1))
 DRY = np.full(9, 0.01, np.float32)
 MIDDLE, REST = jnp.zeros(9), jnp.zeros(9)
@@ -20,7 +20,7 @@ def run(residual, ticks, config=CONFIG, q=MIDDLE, qd=REST, state=None):
     residual = jnp.broadcast_to(jnp.asarray(residual, jnp.float32), (5, 9))
     touching = None
     for _ in range(ticks):
-        state, touching = observe(state, residual, q, qd, LIMITS, DRY, 0.002, config)
+        state, touching = observe(state, residual, q, qd, LIMITS, DRY, 5 * 0.002, config)
     return state, np.asarray(touching)
 
 
@@ -38,10 +38,10 @@ def test_estimate_converges_exponentially_at_rate_k(ticks):
 @given(gain=st.floats(1e-3, 1e6), seed=st.integers(0, 2**31))
 def test_estimate_is_stable_for_every_gain(gain, seed):
     rng = np.random.default_rng(seed)
-    config = ClosingConfig(observer_gain=gain)
+    config = ObserverConfig(gain=gain)
     residual = jnp.asarray(rng.uniform(-1, 1, (200, 9)), jnp.float32)
     state, _ = observe(
-        initial_observer((), 9, 3), residual, MIDDLE, REST, LIMITS, DRY, 0.002, config
+        initial_observer((), 9, 3), residual, MIDDLE, REST, LIMITS, DRY, 200 * 0.002, config
     )
     # A convex combination of what it saw and zero.
     assert np.abs(state.torque).max() <= np.abs(residual).max() * (1 + 1e-5)
@@ -94,7 +94,7 @@ def test_batch_agrees_with_single_worlds():
     q = jnp.asarray(rng.uniform(-1, 1, (4, 9)), jnp.float32)
     qd = jnp.asarray(rng.uniform(-0.2, 0.2, (4, 9)), jnp.float32)
     state = ObserverState(jnp.asarray(rng.normal(size=(4, 9)), jnp.float32), jnp.full((4, 3), 2))
-    call = lambda s, r, a, b: observe(s, r, a, b, LIMITS, DRY, 0.002, CONFIG)  # noqa: E731
+    call = lambda s, r, a, b: observe(s, r, a, b, LIMITS, DRY, 5 * 0.002, CONFIG)  # noqa: E731
     batch = call(state, residual, q, qd)
     for w in range(4):
         one = call(jax.tree.map(lambda x, w=w: x[w], state), residual[w], q[w], qd[w])

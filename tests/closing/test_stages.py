@@ -5,9 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjx_grasp.closing import stages
-from mjx_grasp.closing.config import ClosingConfig
-
-CONFIG = ClosingConfig()
+from mjx_grasp.closing.config import GripConfig, LiftConfig, StageConfig
 
 
 @pytest.mark.parametrize("fingers", range(8))
@@ -16,7 +14,7 @@ def test_lift_begins_with_three_fingers_or_late_with_two(fingers, tick, late):
     touching = jnp.array([bool(fingers & 1 << f) for f in range(3)])
     count = int(touching.sum())
     expected = count == 3 or (late and count >= 2)
-    assert bool(stages.lift_begins(touching, jnp.int32(tick), CONFIG)) == expected
+    assert bool(stages.lift_begins(touching, tick * jnp.float32(0.01), StageConfig())) == expected
 
 
 @given(
@@ -26,13 +24,10 @@ def test_lift_begins_with_three_fingers_or_late_with_two(fingers, tick, late):
     delay=st.floats(0.0, 1.0),
 )
 def test_trapezoid_covers_the_height_after_its_delay(height, speed, share, delay):
-    config = ClosingConfig(
-        lift_height=height,
-        lift_speed=speed,
-        lift_ramp_s=share * height / speed * 0.999,
-        lift_delay_s=delay,
+    config = LiftConfig(
+        height=height, speed=speed, ramp_s=share * height / speed * 0.999, delay_s=delay
     )
-    duration = height / speed + config.lift_ramp_s + delay
+    duration = height / speed + config.ramp_s + delay
     time = np.linspace(0, duration + 0.5, 20001)
     v = np.asarray(stages.lift_speed(jnp.asarray(time, jnp.float32), config))
     assert v.min() >= 0 and v.max() <= speed * (1 + 1e-6)
@@ -41,7 +36,7 @@ def test_trapezoid_covers_the_height_after_its_delay(height, speed, share, delay
 
 
 def test_published_lift_summed_over_ticks():
-    config = ClosingConfig(lift_delay_s=0.0)
+    config = LiftConfig(delay_s=0.0)
     v = np.asarray(stages.lift_speed(jnp.arange(400) * 0.01, config))
     np.testing.assert_allclose(v.sum() * 0.01, 0.15, rtol=1e-4)
     np.testing.assert_allclose(v[20:100], 0.15, rtol=1e-5)
@@ -50,12 +45,12 @@ def test_published_lift_summed_over_ticks():
 
 
 def test_lift_without_ramp_still_covers_the_height():
-    config = ClosingConfig(lift_ramp_s=0.0)
+    config = LiftConfig(ramp_s=0.0)
     v = np.asarray(stages.lift_speed(jnp.arange(400) * 0.01, config))
     np.testing.assert_allclose(v.sum() * 0.01, 0.15, atol=0.15 * 0.01 + 1e-6)
 
 
 def test_grip_force_ramps_over_half_a_second():
-    ticks = jnp.array([0, 10, 25, 50, 51, 400])
-    force = stages.grip_force(ticks, CONFIG, 3.0)
+    time = jnp.array([0, 0.1, 0.25, 0.5, 0.51, 4.0])
+    force = stages.grip_force(time, GripConfig(force=3.0))
     np.testing.assert_allclose(force, [0, 0.6, 1.5, 3, 3, 3], rtol=1e-5)

@@ -9,7 +9,6 @@ import pytest
 
 from mjx_grasp import evaluate as module
 from mjx_grasp.assets import asset_path
-from mjx_grasp.closing.config import MAX_ANGLE_RAD, MAX_OFFSET_M
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import read_results
@@ -17,6 +16,7 @@ from mjx_grasp.evaluation.run import chosen_states
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M
 
 
 @pytest.mark.parametrize(
@@ -82,12 +82,27 @@ def with_task(policy, **changes):
     [
         (lambda p: replace(p, meta={}), "found task = None"),
         (lambda p: with_task(p, grip_power=2.0), r"found task\.grip_power = 2\.0.*no others"),
-        (lambda p: with_task(p, grip_force=None), r"found task\.grip_force = None.*all fields"),
-        (lambda p: with_task(p, grip_force=-1.0), r"grip_force = -1\.0, expected 0 N or more"),
-        (lambda p: with_task(p, grip_force="much"), r"found task = .*str.*expected values"),
-        (lambda p: replace(p, mean=p.mean[1:], std=p.std[1:]), r"\(65, 15\).*\(66, 15\)"),
         (
-            lambda p: replace(p, biases=(*p.biases[:-1], p.biases[-1][1:])),
+            lambda p: with_task(p, grip_force=None),
+            r"found task\.grip_force = 'nothing'.*all fields",
+        ),
+        (lambda p: with_task(p, grip_force=-1.0), r"GripConfig\.force = -1\.0, expected 0 or more"),
+        (
+            lambda p: with_task(p, grip_force="much"),
+            r"GripConfig\.force = 'much', expected 0 or more",
+        ),
+        (
+            lambda p: replace(
+                p, mean=p.mean[1:], std=p.std[1:], weights=(p.weights[0][1:], *p.weights[1:])
+            ),
+            r"\(65, 15\).*\(66, 15\)",
+        ),
+        (
+            lambda p: replace(
+                p,
+                weights=(*p.weights[:-1], p.weights[-1][:, 1:]),
+                biases=(*p.biases[:-1], p.biases[-1][1:]),
+            ),
             r"\(66, 14\).*\(66, 15\)",
         ),
     ],

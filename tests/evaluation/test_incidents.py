@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mjx_grasp.closing.config import ClosingConfig
 from mjx_grasp.evaluate import main
 from mjx_grasp.evaluation import run as module
 from mjx_grasp.evaluation.config import EvaluateConfig
@@ -17,7 +16,7 @@ from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.trials import Trials, incidents
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.tasks import assemble
-from mjx_grasp.tasks.assemble import World
+from mjx_grasp.tasks.assemble import TaskConfig, World
 
 
 @pytest.fixture
@@ -26,13 +25,13 @@ def said(scene, starts, monkeypatch):
 
     def run(**buffers):
         monkeypatch.setattr(assemble, "MjxPhysics", partial(MjxPhysics, **buffers))
-        monkeypatch.setattr(module, "ClosingConfig", partial(ClosingConfig, episode_s=0.1))
         config = EvaluateConfig(
             out=Path("r.json"), controller="squeeze", engine="mjx", episodes=3, worlds=2
         )
         console = Console(file=io.StringIO(), width=200)
         world = World(scene, starts)
-        rows, trials = evaluate(world, ["box"], config, None, "ik", console)
+        task = TaskConfig(episode_s=0.1)
+        rows, trials = evaluate(world, ["box"], config, None, "ik", console, task)
         assert [row.object for row in rows] == ["box"]
         return trials["box"], console.file.getvalue()
 

@@ -15,6 +15,7 @@ from mjx_grasp.evaluation.results import (
     write_results,
 )
 from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "d", "seed": 0}
 
@@ -45,12 +46,28 @@ def test_rows_survive_the_file(tmp_path_factory, counts):
 def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
     write_results(tmp_path / "r.json", [row()], PROVENANCE)
     document = json.loads((tmp_path / "r.json").read_text())
-    assert set(document) == {"schema", "rows", "provenance"}
+    assert set(document) == {"schema", "robot", "rows", "provenance"}
     assert set(document["rows"][0]) == {
         "object", "controller", "engine", "episodes", "successes", "never_lifted", "not_held",
         "slipped", "ci95", "force_mean_n", "force_peak_n", "squeeze_force_n", "offset_mm",
         "angle_deg", "friction", "handoffs", "outcomes",
     }  # fmt: skip
+
+
+def test_the_robot_comes_back_and_is_the_first_one_in_files_that_do_not_say(tmp_path):
+    path, robot = tmp_path / "r.json", RobotIdentity("six_axis", "a1" * 32)
+    write_results(path, [row()], PROVENANCE, robot, label="mine")
+    document = json.loads(path.read_text())
+    assert document["robot"] == {"name": "six_axis", "digest": "a1" * 32}
+    found = read_results(path)
+    assert found.robot == robot and found.extra == {"label": "mine"}
+    for wrong in ("six_axis", None, {}, {"name": 3}, {"name": "a", "colour": "red"}):
+        path.write_text(json.dumps(document | {"robot": wrong}))
+        with pytest.raises(FileError, match=r"r\.json: found robot|r\.json: found RobotIdentity"):
+            read_results(path)
+    del document["robot"]
+    path.write_text(json.dumps(document))
+    assert read_results(path).robot == FIRST_ROBOT
 
 
 def test_rows_from_before_outcomes_were_kept_are_read(tmp_path):
@@ -104,7 +121,7 @@ def test_a_row_that_contradicts_itself_is_refused(field, value, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "No such file"),
+        (None, "no such file"),
         ("{", "no JSON"),
         ("[]", "JSON list"),
         ("{}", "schema None"),

@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
     incidents,
@@ -12,15 +11,16 @@ from mjx_grasp.evaluation.trials import (
     run_trials,
     zero_controller,
 )
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 
 NOISE = StartNoise(offset_m=0.004, friction=(0.6, 0.9))
-SHORT = ClosingConfig(episode_s=0.2)
+SHORT = ClosingTaskConfig(episode_s=0.2)
 
 
 @pytest.fixture(scope="module")
-def env(starts, native):
-    return ClosingEnv(native, starts, SHORT, NOISE, with_privileged=False)
+def task(starts, native):
+    return ClosingTask(native, starts, SHORT, NOISE, with_privileged=False)
 
 
 def test_controllers_of_one_seed_start_alike(starts):
@@ -49,38 +49,38 @@ def test_object_without_starts_is_refused(starts):
         paired_draws(starts, 3, 4, NOISE, seed=0)
 
 
-def test_padding_of_the_last_batch_changes_nothing(env, starts):
+def test_padding_of_the_last_batch_changes_nothing(task, starts):
     draw = paired_draws(starts, 0, 5, NOISE, seed=1)
-    controller = zero_controller(env)
-    together, padded = (run_trials(env, controller, draw, w) for w in (5, 3))
+    controller = zero_controller(task)
+    together, padded = (run_trials(task, controller, draw, w) for w in (5, 3))
     np.testing.assert_array_equal(together.row, draw.row)
     for name, a, b in zip(together._fields, together, padded, strict=True):
         assert a.shape == b.shape == (5,)
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
-def test_controller_decides_the_actions_from_the_observations(env, starts):
+def test_controller_decides_the_actions_from_the_observations(task, starts):
     draw = paired_draws(starts, 0, 2, NOISE, seed=1)
 
     def push(obs):
         return jnp.broadcast_to(jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15))
 
-    still, pushed = (run_trials(env, c, draw, 2) for c in (zero_controller(env), push))
+    still, pushed = (run_trials(task, c, draw, 2) for c in (zero_controller(task), push))
     np.testing.assert_array_equal(still.row, pushed.row)
     assert (np.abs(still.reward - pushed.reward) > 1e-3).all()
 
 
-def test_recorded_trials_are_the_same_trials(env, starts):
+def test_recorded_trials_are_the_same_trials(task, starts):
     draw = paired_draws(starts, 0, 2, NOISE, seed=2)
-    trials, qpos = record_trials(env, zero_controller(env), draw)
-    expected = run_trials(env, zero_controller(env), draw, 2)
+    trials, qpos = record_trials(task, zero_controller(task), draw)
+    expected = run_trials(task, zero_controller(task), draw, 2)
     for name, a, b in zip(trials._fields, trials, expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
-    assert qpos.shape == (20, 2, env.physics.scene.model.nq)
-    at = env.physics.scene.addresses.object_qpos[:2]
+    assert qpos.shape == (20, 2, task.physics.scene.model.nq)
+    at = task.physics.scene.addresses.object_qpos[:2]
     np.testing.assert_allclose(
         qpos[0][:, at],
-        np.asarray(starts.readings.object_pos)[draw.row][:, :2] + np.asarray(draw.offset),
+        np.asarray(starts.truth.object_pos)[draw.row][:, :2] + np.asarray(draw.offset),
         atol=1e-3,
     )
 
@@ -90,11 +90,11 @@ def test_world_that_broke_or_overflowed_is_told_of_however_it_is_run(scene, star
     from scripted import ScriptedPhysics, draw_of, still
 
     script = still(starts, [0, 0], 20)
-    script.q[5, 1] = np.nan
-    script.overflow[[2, 9], 0] = True
-    env = ClosingEnv(ScriptedPhysics(scene, script), starts, SHORT, StartNoise(offset_m=0.0))
-    run = run_trials(env, zero_controller(env), draw_of([0, 0]), 2)
-    recorded, _ = record_trials(env, zero_controller(env), draw_of([0, 0]))
+    script.measured.q[5, 1] = np.nan
+    script.truth.overflow[[2, 9], 0] = True
+    task = ClosingTask(ScriptedPhysics(scene, script), starts, SHORT, StartNoise(offset_m=0.0))
+    run = run_trials(task, zero_controller(task), draw_of([0, 0]), 2)
+    recorded, _ = record_trials(task, zero_controller(task), draw_of([0, 0]))
     for trials in (run, recorded):
         np.testing.assert_array_equal(trials.broken, [False, True])
         np.testing.assert_array_equal(trials.overflow_ticks, [2, 0])

@@ -5,7 +5,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
-from mjx_grasp.geometry.mesh import mass_properties
+from mjx_grasp.geometry.mesh import principal_frame
 from mjx_grasp.geometry.vectors import angle_between, distance_to_line, unit
 
 
@@ -17,7 +17,7 @@ def long_axes(points, normals, centroids, face_normals, face_areas, axes, radius
 
 
 def axes_on(mesh, points, normals, **changes):
-    properties = mass_properties(mesh.vertices, mesh.faces)
+    properties = principal_frame(mesh.vertices, mesh.faces)
     return np.asarray(
         long_axes(
             np.float32(points),
@@ -76,7 +76,7 @@ def test_always_a_finite_unit_tangent():
         np.zeros((1, 3), np.float32),
         np.zeros((1, 3), np.float32),
         np.zeros(1, np.float32),
-        np.float32(mass_properties(flat.vertices, flat.faces).axes),
+        np.float32(principal_frame(flat.vertices, flat.faces).axes),
     )
     assert np.isfinite(nothing).all()
 
@@ -94,7 +94,7 @@ def test_mass_properties_agree_with_trimesh():
     mesh = trimesh.creation.box(extents=[0.03, 0.08, 0.05])
     mesh.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.7, 0.3])))
     mesh.apply_translation([0.3, -0.2, 0.1])
-    found = mass_properties(mesh.vertices, mesh.faces)
+    found = principal_frame(mesh.vertices, mesh.faces)
     assert found.closed
     assert np.allclose(found.centre, mesh.center_mass, atol=1e-9)
     inertia = found.axes @ mesh.moment_inertia @ found.axes.T
@@ -105,7 +105,7 @@ def test_mass_properties_agree_with_trimesh():
 def test_an_open_mesh_takes_its_surface():
     mesh = trimesh.creation.box(extents=[0.1, 0.1, 0.1])
     mesh.update_faces(mesh.face_normals[:, 2] < 0.9)
-    found = mass_properties(mesh.vertices, mesh.faces)
+    found = principal_frame(mesh.vertices, mesh.faces)
     assert not found.closed
     # Five faces of a cube: the bottom one at −5 cm, four around 0.
     assert np.allclose(found.centre, [0, 0, -0.01], atol=1e-9)

@@ -10,7 +10,8 @@ import pytest
 import trimesh
 
 from mjx_grasp.errors import InputError, MjxGraspError
-from mjx_grasp.geometry.distance_field import distance_field, is_closed
+from mjx_grasp.geometry.distance_field import distance_field
+from mjx_grasp.geometry.mesh import is_closed
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import (
     Box,
@@ -231,7 +232,7 @@ def test_overlapping_parts_are_their_union():
     """Where two boxes overlap it is inside, though the surface winds around it twice."""
     places = np.array([[-0.01, 0.003, 0], [0.012, 0, 0.004]])
     mesh = _boxes(*places)
-    assert is_closed(mesh.vertices, mesh.faces)
+    assert is_closed(mesh.faces, mesh.vertices)
     field = distance_field(mesh.vertices, mesh.faces)
     points = _points(2000) / 3
     both = np.stack([_box_distance(points, place) for place in places])
@@ -247,7 +248,7 @@ def test_a_gap_leaves_the_inside_inside():
     """A ball whose top is missing: inside is what the rest winds around by more than half."""
     ball = trimesh.creation.icosphere(4, 0.03)
     faces = ball.faces[ball.triangles_center[:, 2] < 0.022]
-    assert is_closed(ball.vertices, ball.faces) and not is_closed(ball.vertices, faces)
+    assert is_closed(ball.faces, ball.vertices) and not is_closed(faces, ball.vertices)
     field = distance_field(ball.vertices, faces, 0.002)
     points = _points(1500) / 3
     winding = winding_number(points, ball.vertices[faces])
@@ -264,9 +265,9 @@ def test_seams_do_not_open_a_surface():
     mesh = _boxes([0.0, 0, 0])
     soup = mesh.triangles.reshape(-1, 3)
     faces = np.arange(len(soup)).reshape(-1, 3)
-    assert is_closed(soup, faces)
-    assert not is_closed(soup, faces[1:])
-    assert not is_closed(soup, np.concatenate([faces[1:], faces[:1, ::-1]]))
+    assert is_closed(faces, soup)
+    assert not is_closed(faces[1:], soup)
+    assert not is_closed(np.concatenate([faces[1:], faces[:1, ::-1]]), soup)
 
 
 @pytest.mark.parametrize("faces", [np.zeros((0, 3), int), np.array([[0, 1, 1]])])

@@ -1,22 +1,25 @@
 """The online selection: an independent oracle, invariances, hysteresis, rejections."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.grasp import (
     NONE,
-    Hand,
+    HandPose,
     SelectionConfig,
     cylinder_candidates,
     from_heatmap,
     select,
     start_selection,
 )
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap import compute_heatmap, steer
 
 CONFIG = SelectionConfig()
 SPAN = (0.02, 0.09)
@@ -25,7 +28,7 @@ SPAN = (0.02, 0.09)
 def _hand(rng, centre=(0.5, 0.0, 0.15)):
     tips = np.asarray(centre) + rng.normal(scale=0.06, size=(3, 3))
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return Hand(*(jnp.asarray(a, jnp.float32) for a in (tips, axes[0], axes[1])))
+    return HandPose(*(jnp.asarray(a, jnp.float32) for a in (tips, axes[0], axes[1])))
 
 
 def _pose(rng, height=0.15):
@@ -101,7 +104,7 @@ def test_moving_the_world_moves_the_targets(cylinder):
     hand, (p, R) = _hand(rng), _pose(rng)
     turn = so3.exp(jnp.asarray([0.0, 0.0, 1.1]))
     shift = jnp.asarray([0.2, -0.1, 0.0])
-    moved = Hand(hand.tips @ turn.T + shift, turn @ hand.approach, turn @ hand.opposing)
+    moved = HandPose(hand.tips @ turn.T + shift, turn @ hand.approach, turn @ hand.opposing)
     first, _ = select(cylinder, start_selection(cylinder, hand, R), hand, p, R, CONFIG)
     p2, R2 = turn @ p + shift, turn @ R
     second, _ = select(cylinder, start_selection(cylinder, moved, R2), moved, p2, R2, CONFIG)
@@ -228,3 +231,36 @@ def test_best_of_a_heatmap_are_taken_and_filled_up(mesh_heatmap):
     assert float(few.score[0]) == pytest.approx(float(np.max(mesh_heatmap.score)))
     many = from_heatmap(mesh_heatmap, count=len(mesh_heatmap.score) + 5)
     assert not np.any(many.valid[-5:])
+    with pytest.raises(InputError, match="count"):
+        from_heatmap(mesh_heatmap, count=0)
+
+
+@pytest.mark.parametrize("count", [None, 40])
+def test_candidates_that_tie_keep_the_order_of_their_vertices(mesh_heatmap, count):
+    vertices = len(mesh_heatmap.score)
+    steps = np.random.default_rng(0).integers(0, 4, vertices).astype(np.float32)
+    valid = np.arange(vertices) % 5 != 0
+    heatmap = mesh_heatmap._replace(valid=jnp.asarray(valid))
+    found = jax.jit(partial(from_heatmap, count=count))(heatmap, jnp.asarray(steps))
+    order = np.argsort(-np.where(valid, steps, 0), kind="stable")[:count]
+    np.testing.assert_array_equal(found.thumb, np.asarray(heatmap.thumb)[order])
+    np.testing.assert_array_equal(found.valid, valid[order])
+    np.testing.assert_array_equal(found.score, np.where(valid, steps, 0)[order])
+
+
+def test_from_an_anchor_to_targets_in_one_jitted_tick(mesh_heatmap):
+    """Nothing goes through the host, and each part gives what it gives alone."""
+    rng = np.random.default_rng(9)
+    hand, (p, R) = _hand(rng), _pose(rng, height=0.2)
+
+    def tick(heatmap, anchor, hand, p, R):
+        candidates = from_heatmap(heatmap, steer(heatmap, anchor), count=64)
+        state = start_selection(candidates, hand, R)
+        return candidates, select(candidates, state, hand, p, R, CONFIG)[0]
+
+    anchor = jnp.asarray([0.03, 0.0, 0.03])
+    candidates, targets = jax.jit(tick)(mesh_heatmap, anchor, hand, p, R)
+    apart, alone = tick(mesh_heatmap, anchor, hand, p, R)
+    np.testing.assert_allclose(candidates.score, apart.score, rtol=1e-6)
+    assert bool(targets.valid) and int(targets.candidate) == int(alone.candidate)
+    np.testing.assert_allclose(targets.position, alone.position, atol=1e-6)

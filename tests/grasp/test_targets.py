@@ -11,7 +11,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig, TargetConfig
-from mjx_grasp.grasp.select import Hand, select, start_selection
+from mjx_grasp.grasp.select import HandPose, select, start_selection
 from mjx_grasp.grasp.targets import (
     NONE,
     WAYS,
@@ -128,7 +128,9 @@ def test_heights_are_of_the_lowest_contact_target_and_goal():
         target = p + np.asarray(options.position)[row] @ R.T
         points = np.concatenate([target, p + np.asarray(given.wrap)[k] @ R.T])
         assert lowest[row] == pytest.approx(float(points[:, 2].min()), abs=1e-5)
-        outside = target + np.array([0.025, 0.04, 0.04])[:, None] * (np.asarray(options.normal)[row] @ R.T)
+        outside = target + np.array([0.025, 0.04, 0.04])[:, None] * (
+            np.asarray(options.normal)[row] @ R.T
+        )
         assert goal[row] == pytest.approx(float(outside[:, 2].min()), abs=1e-5)
 
 
@@ -163,7 +165,7 @@ def test_a_standoff_says_where_the_tips_go_and_how_high_that_must_be(standoff, f
     goal = standoffs(options.position, options.normal, config)[0, 0]
     np.testing.assert_allclose(goal, [0.0, 0.0, -standoff], atol=1e-7)
     assert admissible(given, options, p, R, config).any() == fits
-    hand = Hand(jnp.asarray(np.eye(3) * 0.1), jnp.eye(3)[0], jnp.eye(3)[2])
+    hand = HandPose(jnp.asarray(np.eye(3) * 0.1), jnp.eye(3)[0], jnp.eye(3)[2])
     selection = SelectionConfig(targets=config)
     chosen, _ = select(given, start_selection(given, hand, R), hand, p, R, selection)
     assert bool(chosen.valid) == fits and (int(chosen.candidate) != NONE) == fits

@@ -10,7 +10,7 @@ import pytest
 from mjx_grasp.geometry import so3
 from mjx_grasp.grasp import (
     NONE,
-    Hand,
+    HandPose,
     SelectionConfig,
     from_heatmap,
     select,
@@ -46,7 +46,7 @@ def worlds(objects):
     R = jax.vmap(so3.exp)(jnp.asarray(rng.normal(scale=1.5, size=(WORLDS, 3)), jnp.float32))
     tips = p[:, None] + rng.normal(scale=0.08, size=(WORLDS, 3, 3))
     axes = np.linalg.qr(rng.normal(size=(WORLDS, 3, 3)))[0]
-    hands = Hand(*(jnp.asarray(a, jnp.float32) for a in (tips, axes[:, 0], axes[:, 1])))
+    hands = HandPose(*(jnp.asarray(a, jnp.float32) for a in (tips, axes[:, 0], axes[:, 1])))
     return jnp.asarray(number), hands, jnp.asarray(p, jnp.float32), R
 
 

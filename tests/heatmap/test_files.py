@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from forging import rewrite
 from made_up import made_up
 
 from mjx_grasp.errors import FileError
@@ -14,7 +15,7 @@ from mjx_grasp.heatmap.files import TERMS, HeatmapInfo, load_heatmap, save_heatm
 INFO = HeatmapInfo("thing", (0.02, 0.09), 0.5, (0.0, 0.001, 0.0), (0.01, 0.0, 0.02), 0.03)
 DOCUMENTED = {
     *("vertices", "normals", "score", "score_without_com", "thumb", "wrap", "axis"),
-    *("width", "valid", "terms"),
+    *("width", "valid", *(f"term_{name}" for name in TERMS)),
 }
 FACES = np.array([[0, 1, 2], [2, 1, 3]])
 
@@ -41,11 +42,10 @@ def test_the_documented_members_are_there_for_anybody_with_numpy(stored):
         names = set(file.files)
         assert names >= DOCUMENTED
         assert file["wrap"].shape == (4, 2, 3)
-        assert file["term_names"].tolist() == list(TERMS)
-        assert np.array_equal(file["terms"][:, 4], heatmap.terms["com"])
+        assert np.array_equal(file["term_com"], heatmap.terms["com"])
         header = json.loads(str(file["header"]))
         assert {k: header[k] for k in ("version", "anchor")} == {
-            "version": 1,
+            "version": 2,
             "anchor": [0.01, 0.0, 0.02],
         }
 
@@ -59,43 +59,48 @@ def test_a_real_heatmap_is_steered_after_reading_as_before(tmp_path):
     assert np.array_equal(steer(read, anchor), steer(heatmap, anchor))
 
 
-def rewritten(path, change):
-    with np.load(path) as file:
-        members = {name: file[name] for name in file.files}
-    change(members)
-    np.savez(path, **members)
-
-
 def header_with(**fields):
-    def change(members):
-        header = json.loads(str(members["header"])) | fields
-        members["header"] = np.array(json.dumps(header))
-
-    return change
+    return lambda arrays, header: header.update(fields)
 
 
 def replacing(name, value):
-    return lambda members: members.__setitem__(name, value(members[name]))
+    return lambda arrays, header: arrays.update({name: value(arrays[name])})
 
 
 @pytest.mark.parametrize(
     ("change", "found"),
     [
         (header_with(format="other"), "another kind"),
-        (header_with(version=2), "version 2"),
+        (header_with(version=3), "version 3"),
         (header_with(friction=0.7), "checksum"),
-        (lambda m: m.pop("wrap"), "another kind"),
+        (lambda arrays, header: arrays.pop("wrap"), "checksum"),
         (replacing("score", lambda s: s[::-1].copy()), "checksum"),
         (replacing("width", lambda w: w[:-1]), "checksum"),
-        (replacing("term_names", lambda t: t[::-1]), "checksum"),
     ],
 )
 def test_a_changed_file_is_refused(stored, change, found):
     path, _ = stored
-    rewritten(path, change)
+    rewrite(path, change)
     with pytest.raises(FileError, match=found) as error:
         load_heatmap(path)
     assert error.value.path == path
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (header_with(span=[0.02, -1.0]), "span"),
+        (header_with(com="here"), "com"),
+        (replacing("score", lambda s: s + 1), "score outside"),
+        (replacing("term_com", lambda t: -t), "term_com outside"),
+        (replacing("faces", lambda f: f + 9), "vertices below 4"),
+        (replacing("wrap", lambda w: w[:3]), "wrap float32"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_a_right_checksum(stored, change, found):
+    rewrite(stored[0], change, sign=True)
+    with pytest.raises(FileError, match=found):
+        load_heatmap(stored[0])
 
 
 def test_missing_foreign_and_cut_files_are_refused(stored, tmp_path):

@@ -163,10 +163,10 @@ def test_anchors_that_are_no_points_are_refused(lump_map):
 
 
 def test_steering_to_the_centre_of_mass_gives_the_default_bit_for_bit(lump_map):
-    from mjx_grasp.geometry.mesh import mass_properties
+    from mjx_grasp.geometry.mesh import principal_frame
 
     mesh = lump()
-    com = mass_properties(mesh.vertices, mesh.faces).centre
+    com = principal_frame(mesh.vertices, mesh.faces).centre
     assert np.array_equal(steer(lump_map, com, HeatmapConfig().com_sigma), lump_map.score)
     other = np.array([0.01, 0.0, 0.02])
     explicit = heatmap_of_mesh(mesh, com=other)

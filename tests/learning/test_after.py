@@ -8,20 +8,20 @@ import pytest
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training import after
 from mjx_grasp.training.after import baselines, condition
 from mjx_grasp.training.config import preset_config
 
 
 class Asked(Exception):
-    """The task and noise that an environment was asked for."""
+    """What was asked for: the settings and noise of a task, or a scene."""
 
 
 class Recorder:
-    def env(self, engine, worlds, task, noise, **settings):
+    def task(self, engine, worlds, task, noise, **settings):
         raise Asked(task, noise)
 
 
@@ -41,14 +41,14 @@ def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path):
     (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())
 
     def asked(objects, robot, scene):
-        raise Asked(objects, scene)
+        raise Asked(objects, robot.name, scene)
 
     monkeypatch.setattr(after, "build_scene", asked)
     world = SimpleNamespace(scene=SimpleNamespace(objects=("these",)))
     with pytest.raises(Asked) as evaluation:
-        after.evaluate_and_report(tmp_path, config, world, None, Console(quiet=True))
+        after.evaluate_run(tmp_path, config, world, None, Console(quiet=True))
     moving = replace(config.scene, fix_idle_fingers=False)
-    assert evaluation.value.args == (("these",), moving)
+    assert evaluation.value.args == (("these",), "rizon4_hx5d20", moving)
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,8 @@ def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
 
 def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
     task = preset_config("paper").task
-    assert task.lift_delay_s == 0.0 and not task.grip_together
+    assert task.lift.delay_s == 0.0 and not task.grip.together
     config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
     with pytest.raises(Asked) as asked:
         evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
-    assert asked.value.args == (replace(task, grip_force=4.0), config.noise)
+    assert asked.value.args == (replace(task, grip=replace(task.grip, force=4.0)), config.noise)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scripted import ScriptedPhysics, still
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
-from mjx_grasp.learning.brax_env import BraxClosingEnv
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise, SuccessConfig
 
 EPISODE = 10
-TASK = ClosingConfig(episode_s=0.1, success_hold_s=0.02)
+TASK = ClosingTaskConfig(episode_s=0.1, success=SuccessConfig(hold_s=0.02))
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,9 @@ def rolled_out(scene, starts):
     """Steps through a script [t, w, ...], which starts again with every episode."""
 
     def run(script, ticks, stagger=False):
-        worlds = script.q.shape[1]
-        inner = ClosingEnv(ScriptedPhysics(scene, script), starts, TASK, StartNoise(offset_m=0.0))
-        env = BraxClosingEnv(inner, worlds, stagger)
+        worlds = script.measured.q.shape[1]
+        task = ClosingTask(ScriptedPhysics(scene, script), starts, TASK, StartNoise(offset_m=0.0))
+        env = BraxTask(task, worlds, stagger)
 
         def tick(state, _):
             state = env.step(state, jnp.zeros((worlds, env.action_size)))
@@ -36,7 +36,7 @@ def rolled_out(scene, starts):
 
 def test_staggered_first_episodes_end_early_and_do_not_count(starts, rolled_out):
     first, done, _, info, _ = rolled_out(still(starts, [0] * 16, EPISODE), 3 * EPISODE, True)
-    deadline = np.asarray(first.pipeline_state.episode.deadline)
+    deadline = np.asarray(first.info["deadline"])
     assert len(set(deadline)) > 3 and deadline.min() >= 1 and deadline.max() <= EPISODE
     tick = np.arange(1, 3 * EPISODE + 1)[:, None]
     np.testing.assert_array_equal(done, (tick >= deadline) & ((tick - deadline) % EPISODE == 0))
@@ -48,7 +48,7 @@ def test_staggered_first_episodes_end_early_and_do_not_count(starts, rolled_out)
 def test_a_broken_world_ends_without_being_truncated_and_starts_anew(starts, rolled_out):
     """World 1 breaks in the middle of its episode, world 2 in the tick in which its time is up."""
     script = still(starts, [0] * 3, EPISODE)
-    script.q[3, 1] = script.q[EPISODE - 1, 2] = np.nan
+    script.measured.q[3, 1] = script.measured.q[EPISODE - 1, 2] = np.nan
     _, done, reward, info, obs = rolled_out(script, EPISODE)
     expected = np.zeros((EPISODE, 3))
     expected[[3, 7, EPISODE - 1], [1, 1, 2]] = 1.0
@@ -61,10 +61,10 @@ def test_a_broken_world_ends_without_being_truncated_and_starts_anew(starts, rol
 
 def test_an_episode_reports_what_came_of_it_at_its_end(starts, rolled_out):
     script = still(starts, [0, 0], EPISODE)
-    script.tip_found[2:, 0] = True
+    script.truth.tip_found[2:, 0] = True
     force = np.random.default_rng(0).uniform(1.0, 5.0, (EPISODE, 3)).astype(np.float32)
-    script.finger_force[:, 0, :, 2] = force
-    for x in (script.object_pos, script.palm_pos):
+    script.truth.finger_force[:, 0, :, 2] = force
+    for x in (script.truth.object_pos, script.measured.palm_pos):
         x[4:, 0, 2] += 0.12
     _, done, reward, info, _ = rolled_out(script, EPISODE)
     np.testing.assert_array_equal(done[-1], 1.0)

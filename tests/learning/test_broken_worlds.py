@@ -25,8 +25,8 @@ class Overflowing(NativePhysics):
     """Reports an overflow of one world at every tick."""
 
     def step(self, state, params, ctrl):
-        state, readings = super().step(state, params, ctrl)
-        return state, readings._replace(overflow=jnp.arange(len(ctrl)) == FULL)
+        state, measured, truth = super().step(state, params, ctrl)
+        return state, measured, truth._replace(overflow=jnp.arange(len(ctrl)) == FULL)
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,20 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import networks
+from forging import rewrite
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.policy import load_policy, policy_from_training
 from mjx_grasp.learning.ppo import make_networks
+from mjx_grasp.robot.identity import RobotIdentity
+
+ROBOT = RobotIdentity("six_axis", "a1" * 32)
 
 
 class Sizes:
@@ -38,7 +44,8 @@ def trained():
 def stored(trained, tmp_path):
     _, params, normalizer, _ = trained
     path = tmp_path / "policy.npz"
-    policy_from_training(params, normalizer, {"objects": ["box"], "task": {"a": 1}}).save(path)
+    meta = {"objects": ["box"], "task": {"a": 1}}
+    policy_from_training(params, normalizer, meta, ROBOT).save(path)
     return path
 
 
@@ -54,6 +61,7 @@ def test_stored_policy_answers_as_brax_does(trained, stored):
     np.testing.assert_allclose(jax.jit(policy)(obs[3]), found[3], atol=1e-5)
     assert (policy.observation_size, policy.action_size) == (66, 15)
     assert policy.meta == {"objects": ["box"], "task": {"a": 1}}
+    assert policy.robot == ROBOT
 
 
 def test_saving_again_changes_nothing(stored, tmp_path):
@@ -95,17 +103,35 @@ def test_truncated_foreign_and_missing_files_are_refused(stored, tmp_path):
 
 def test_header_is_checked_as_well_as_the_arrays(stored):
     """A changed task in the header would evaluate the policy in another task than it learned."""
-    import json
-
-    with np.load(stored) as file:
-        arrays = dict(file)
-    header = json.loads(arrays["header"].tobytes())
-    header["meta"]["task"]["a"] = 2
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    with open(stored, "wb") as stream:
-        np.savez(stream, **arrays)
-    with pytest.raises(FileError, match=r"policy\.npz"):
+    rewrite(stored, lambda arrays, header: header["meta"]["task"].update(a=2))
+    with pytest.raises(FileError, match=r"policy\.npz.*checksum"):
         load_policy(stored)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda arrays: arrays.update(mean=arrays["mean"][1:]), r"std float32 \(66,\)"),
+        (lambda arrays: arrays.update(std=0 * arrays["std"]), "std with zeros"),
+        (lambda arrays: arrays.update(std=np.nan * arrays["std"]), "not finite"),
+        (lambda arrays: arrays.update(bias_1=arrays["bias_1"][1:]), "layers of shapes"),
+        (lambda arrays: arrays.pop("bias_1"), "no array 'bias_1'"),
+        (lambda arrays: arrays.update(weight_7=arrays.pop("weight_1")), "no array 'weight_1'"),
+        (lambda arrays: arrays.update(bias_3=arrays["bias_2"]), "layers of shapes"),
+        (lambda arrays: arrays.update(weight_0=arrays["weight_0"][0]), "weight_0 float32"),
+    ],
+)
+def test_layers_that_do_not_fit_are_refused_with_a_right_checksum(stored, change, message):
+    rewrite(stored, lambda arrays, header: change(arrays), sign=True)
+    with pytest.raises(FileError, match=message):
+        load_policy(stored)
+
+
+def test_layers_that_do_not_fit_are_not_written(stored, tmp_path):
+    policy = load_policy(stored)
+    with pytest.raises(FileError, match="layers of shapes"):
+        replace(policy, biases=policy.biases[::-1]).save(tmp_path / "new.npz")
+    assert not (tmp_path / "new.npz").exists()
 
 
 def test_networks_of_another_kind_are_refused(trained):

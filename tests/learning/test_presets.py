@@ -56,8 +56,8 @@ def test_a_training_says_which_preset_it_took(tmp_path, monkeypatch, backend):
     arguments = [*small, "--handoffs", str(shipped), "--out", str(folder), "--no-fit-memory"]
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
     monkeypatch.setattr(command, "Console", lambda **_: Console(file=said, width=400))
-    monkeypatch.setattr(job, "BraxClosingEnv", lambda *_: None)
-    monkeypatch.setattr(assemble.World, "env", lambda *_: None)
+    monkeypatch.setattr(job, "BraxTask", lambda *_: None)
+    monkeypatch.setattr(assemble.World, "task", lambda *_: None)
 
     class Begun(Exception):
         """Where the training would start to compile."""

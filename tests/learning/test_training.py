@@ -136,7 +136,8 @@ def test_checkpoint_restores_every_bit(env, trained, iterate, tmp_path):
     path = save_checkpoint(tmp_path, states[1], env, tiny.CONFIG)
     assert path.name == "iteration_00000001"
     assert json.loads((path / "config" / "metadata").read_text()) == tiny.CONFIG
-    back = restore_checkpoint(path, init_state(tiny.ppo(), env, seed=9), env)
+    back, goes_on = restore_checkpoint(path, init_state(tiny.ppo(), env, seed=9), env)
+    assert goes_on
     assert jax.tree.structure(back) == jax.tree.structure(states[1])
     same(back, states[1])
     # Going on from it is going on: parameters, optimiser, statistics, worlds, key.
@@ -157,7 +158,7 @@ def test_unfinished_checkpoints_are_not_taken_for_finished_ones(env, trained, tm
     assert [p.name for p in checkpoints(tmp_path)] == ["iteration_00000001"]
     save_checkpoint(tmp_path, trained[0][2], env, tiny.CONFIG)
     template = init_state(tiny.ppo(), env, seed=9)
-    same(restore_checkpoint(checkpoints(tmp_path)[-1], template, env), trained[0][2])
+    same(restore_checkpoint(checkpoints(tmp_path)[-1], template, env)[0], trained[0][2])
 
 
 def data_files(path):
@@ -200,7 +201,7 @@ def test_changed_byte_is_refused_or_does_no_harm(env, trained, tmp_path):
             changed[place] ^= 0xFF
             file.write_bytes(bytes(changed))
             try:
-                back = restore_checkpoint(path, trained[0][0], env)
+                back, _ = restore_checkpoint(path, trained[0][0], env)
             except FileError:
                 continue
             same(back, trained[0][1])
@@ -220,7 +221,7 @@ def test_resumed_training_is_the_unbroken_one(env, trained, tmp_path):
     state = init_state(tiny.ppo(2), env, seed=0)
     train_loop(tmp_path, state, env, tiny.ppo(2), loop, tiny.CONFIG)
     path = checkpoints(tmp_path / "checkpoints")[-1]
-    state = restore_checkpoint(path, init_state(tiny.ppo(3), env, seed=0), env)
+    state, _ = restore_checkpoint(path, init_state(tiny.ppo(3), env, seed=0), env)
     final = train_loop(tmp_path, state, env, tiny.ppo(3), loop, tiny.CONFIG)
     same(final, trained[0][3])
     with (tmp_path / "metrics.csv").open() as stream:
@@ -244,7 +245,7 @@ def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
     with pytest.raises(TrainingDiverged, match=r"diverged\.npz.*iteration 2; .*00000001"):
         train_loop(folder, bad, env, tiny.ppo(3), LoopConfig(checkpoint_every=1), {})
     assert [p.name for p in checkpoints(folder / "checkpoints")] == ["iteration_00000001"]
-    back = restore_checkpoint(
+    back, _ = restore_checkpoint(
         checkpoints(folder / "checkpoints")[-1], init_state(tiny.ppo(3), env, seed=0), env
     )
     same(back, good)
@@ -253,9 +254,10 @@ def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
 
 
 @pytest.fixture
-def counting(monkeypatch, trained):
+def counting(monkeypatch, env, trained):
     """The loop with iterations that only count, from a state of its own."""
-    numbers = dict.fromkeys((*COLUMNS, "total_loss"), 1.0) | dict.fromkeys(
+    rewards = ppo_module.reward_columns(env.task.reward_names).values()
+    numbers = dict.fromkeys((*COLUMNS, *rewards, "total_loss"), 1.0) | dict.fromkeys(
         ("broken_worlds", "overflows"), 0.0
     )
     monkeypatch.setattr(
@@ -284,7 +286,7 @@ def test_an_interrupted_training_keeps_the_iteration_it_was_in(
     finally:
         signal.signal(signal.SIGINT, before)
     (path,) = checkpoints(tmp_path / "checkpoints")
-    back = restore_checkpoint(path, init_state(tiny.ppo(9), env, seed=9), env)
+    back, _ = restore_checkpoint(path, init_state(tiny.ppo(9), env, seed=9), env)
     assert int(back.iteration) == 3
     same(back.params, trained[0][0].params)
 
@@ -353,3 +355,34 @@ def test_killed_training_resumes_to_the_same_parameters(tmp_path, capsys):
 def test_impossible_training_settings_are_refused_by_name(field, value):
     with pytest.raises(InputError, match=rf"PPOConfig\.{field}"):
         PPOConfig(**{field: value})
+
+
+V1 = Path(__file__).parent.parent / "data" / "v1" / "iteration_00000002"
+
+
+def test_a_checkpoint_of_the_first_version_is_read(env):
+    """What was learnt is as it was; the worlds of then are others, so that they start anew."""
+    template = init_state(tiny.ppo(), env, seed=0)
+    state, goes_on = restore_checkpoint(V1, template, env)
+    assert int(state.iteration) == 2 and not goes_on
+    same(env.pack(state.env), env.pack(template.env))
+    np.testing.assert_array_equal(
+        tiny.parameters(state), np.load(V1.parent / "iteration_00000002_parameters.npy")
+    )
+
+
+def test_worlds_with_other_arrays_start_anew(env, trained, tmp_path):
+    path = save_checkpoint(tmp_path, trained[0][1], env, {})
+    more = tiny.make_env(worlds=8)
+    template = init_state(tiny.ppo(worlds=8), more, seed=0)
+    state, goes_on = restore_checkpoint(path, template, more)
+    assert not goes_on
+    same(state.params, trained[0][1].params)
+
+
+def test_a_checkpoint_of_a_newer_version_is_refused(env, trained, tmp_path):
+    path = save_checkpoint(tmp_path, trained[0][1], env, {})
+    manifest = json.loads((path / "manifest.json").read_text())
+    (path / "manifest.json").write_text(json.dumps(manifest | {"version": 3}))
+    with pytest.raises(FileError, match="version 3, which needs a newer package"):
+        restore_checkpoint(path, trained[0][0], env)

@@ -72,7 +72,7 @@ def main(folder, iterations, seconds):
     state = init_state(ppo(iterations), env, seed=3)
     done = checkpoints(folder / "checkpoints")
     if done:
-        state = restore_checkpoint(done[-1], state, env)
+        state, _ = restore_checkpoint(done[-1], state, env)
     print(json.dumps({"from": int(state.iteration)}), flush=True)
     state = train_loop(folder, state, env, ppo(iterations), LoopConfig(checkpoint_every=1), CONFIG)
     np.save(folder / "parameters.npy", parameters(state))

@@ -4,11 +4,11 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-
 from mjx_grasp.robot.arrays import robot_arrays
 from mjx_grasp.robot.postures import draw_postures
-from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.robot.spheres import own_clearance
+
+from mjx_grasp.robot.spec import load_robot
 
 COUNT = 96
 AREA = (0.40, 0.65), (-0.25, 0.25)

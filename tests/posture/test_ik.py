@@ -2,13 +2,13 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-
 from mjx_grasp.handoff.clearance import DistanceGrid, distance_and_gradient, distance_grid
-from mjx_grasp.handoff.config import IkConfig, SamplingConfig
 from mjx_grasp.handoff.ik import make_ik
 from mjx_grasp.handoff.starts import build_library, choose_starts, make_ranking
-from mjx_grasp.objects.convex import Piece
 from mjx_grasp.robot.arrays import robot_arrays
+
+from mjx_grasp.handoff.config import IkConfig, SamplingConfig
+from mjx_grasp.objects.convex import Piece
 from mjx_grasp.robot.spec import load_robot
 
 PROBLEMS, RESTARTS = 96, 6

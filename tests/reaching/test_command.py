@@ -11,7 +11,8 @@ from mjx_grasp.grasp import cylinder_candidates
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Outcome, Reacher
+from mjx_grasp.reaching.command import programme
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome
 from mjx_grasp.reaching.presets import preset
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.08))
@@ -32,7 +33,7 @@ def pressed(body):
 
 
 def _tick(body, name, p, R):
-    """One tick of each state: what it did, and all distances before and after it, [m]."""
+    """One tick of each state: what it did and solved, distances before and after it, [m]."""
     settings = preset(name)
     reacher = Reacher(body, settings.reach, settings.selection)
     candidates = cylinder_candidates(SHAPE.radius, SHAPE.half_length, body.robot.hand.span)
@@ -46,17 +47,20 @@ def _tick(body, name, p, R):
 
     def one(p, R):
         state = reacher.start(q, candidates, p, R)
-        state, done = reacher.tick(state, q, SHAPE, candidates, p, R, NONE)
+        situation = SHAPE, candidates, p, R, NONE
+        aim = reacher.aim(state, q, *situation)
+        built = programme(body, settings.reach, q, aim.goals, aim.around, state.memory)
+        state, done = reacher.tick(state, q, *situation)
         before, safe = distances(q, p, R)
         after, _ = distances(q + settings.reach.controller.dt * done.velocity, p, R)
-        return state, done, before, after, safe
+        return state, done, built.problem, before, after, safe
 
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(p, R))
 
 
 def test_an_infeasible_tick_commands_zero_and_is_counted(body, pressed):
     state, done, *_ = _tick(body, "paper", *pressed)
-    assert done.targets.valid.all() and np.all(state.outcome == Outcome.RUNNING)
+    assert done.targets.valid.all() and np.all(state.outcome == ReachOutcome.RUNNING)
     infeasible = ~done.report.feasible
     assert 0.5 * STATES < infeasible.sum() < STATES
     assert np.all(done.report.object_distance[infeasible] < 0)
@@ -67,7 +71,7 @@ def test_an_infeasible_tick_commands_zero_and_is_counted(body, pressed):
 
 
 def test_an_infeasible_tick_that_escapes_is_counted_and_makes_nothing_worse(body, pressed):
-    state, done, before, after, safe = _tick(body, "default", *pressed)
+    state, done, problem, before, after, safe = _tick(body, "default", *pressed)
     assert done.targets.valid.all()
     infeasible = ~done.report.feasible
     assert infeasible.sum() > 0.5 * STATES
@@ -75,7 +79,7 @@ def test_an_infeasible_tick_that_escapes_is_counted_and_makes_nothing_worse(body
     moving = infeasible & (np.abs(done.velocity).max(axis=1) > 0)
     assert moving.sum() >= 3
     # A row that is violated may not be violated more, by the programme and as the robot moves.
-    problem, config = done.report.problem, preset("default").reach
+    config = preset("default").reach
     rate = np.einsum("wmj,wj->wm", problem.A, done.velocity)
     violated = before < safe
     tolerance = config.solver.feasible

@@ -17,7 +17,8 @@ from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings, placed
-from mjx_grasp.reaching.controller import Outcome, Reacher
+from mjx_grasp.reaching.config import HandoffGate
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome, is_ready
 from mjx_grasp.reaching.planning import plan_reach, start_library
 from mjx_grasp.reaching.presets import for_sweep, preset
 from mjx_grasp.robot.spec import load_robot
@@ -47,21 +48,33 @@ def _reach(reacher, centre, ticks, shape=SHAPE, candidates=None, plans=None):
         q = q + reacher.config.controller.dt * done.velocity
         report = done.report
         kept = state.outcome, state.timer, state.tries, done.velocity, done.targets.candidate
-        return (state, q), (*kept, report.error, report.midpoint, report.object_distance, q)
+        found = report.error, report.midpoint, report.object_distance, done.ready
+        return (state, q), (*kept, *found, q)
 
     run = jax.jit(lambda c: jax.lax.scan(tick, c, length=ticks)[1])
-    names = ("outcome", "timer", "tries", "velocity", "index", "error", "midpoint", "object", "q")
+    names = [
+        "outcome",
+        "timer",
+        "tries",
+        "velocity",
+        "index",
+        "error",
+        "midpoint",
+        "object",
+        "ready",
+        "q",
+    ]
     return dict(zip(names, map(np.asarray, run((state, q))), strict=True))
 
 
 def test_an_easy_reach_hands_off_near_its_targets_and_stops(reacher):
     run = _reach(reacher, CENTRE, 500)
-    assert run["outcome"][-1] == Outcome.HANDOFF
-    at = int(np.argmax(run["outcome"] == Outcome.HANDOFF))
+    assert run["outcome"][-1] == ReachOutcome.HANDOFF
+    at = int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF))
     config = reacher.config.controller
-    near = run["midpoint"][at] < config.handoff_midpoint
-    late = run["timer"][at] >= config.fine_timeout - 1e-4
-    assert near or (late and run["error"][at].max() <= config.handoff_largest)
+    near = run["midpoint"][at] < config.gate.midpoint
+    late = run["timer"][at] >= config.gate.late - 1e-4
+    assert near or (late and run["error"][at].max() <= config.gate.late_tips)
     assert np.all(run["velocity"][at + 1 :] == 0.0)
     assert run["object"].min() > 0.008
     # The timer runs exactly while the largest error is below 140 mm.
@@ -73,27 +86,58 @@ def test_an_easy_reach_hands_off_near_its_targets_and_stops(reacher):
     np.testing.assert_allclose(run["timer"][: at + 1], expected, atol=1e-3)
 
 
+def test_a_gate_opens_near_the_targets_and_later_farther_away():
+    gate = HandoffGate(midpoint=0.01, tips=0.02, late=3.0, late_tips=0.05)
+    for timer, error, midpoint, opens in (
+        (0.1, 0.019, 0.009, True),
+        (0.1, 0.021, 0.009, False),
+        (0.1, 0.019, 0.011, False),
+        (3.0, 0.049, 0.040, True),
+        (3.0, 0.051, 0.040, False),
+    ):
+        assert bool(is_ready(gate, *map(jnp.float32, (timer, error, midpoint)))) == opens
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_reach_can_go_on_where_it_would_hand_off(reacher, ends):
+    wide = _with(reacher, gate=HandoffGate(midpoint=10.0), hands_off=ends)
+    run = _reach(wide, CENTRE, 3)
+    assert run["ready"].all()
+    assert np.all(run["outcome"] == (ReachOutcome.HANDOFF if ends else ReachOutcome.RUNNING))
+
+
+def test_goals_are_at_the_standoffs_that_the_selection_has(reacher):
+    """One setting: what says how high goals must be says where they are."""
+    candidates, q = _candidates(reacher.body), jnp.asarray(reacher.body.home)
+    targets = replace(reacher.selection.targets, thumb_standoff=0.08, wrap_standoff=0.0)
+    other = replace(reacher, selection=replace(reacher.selection, targets=targets))
+    state = other.start(q, candidates, CENTRE, UPRIGHT)
+    aim = jax.jit(other.aim)(state, q, SHAPE, candidates, CENTRE, UPRIGHT, NONE)
+    out = np.sum((aim.goals.tips - aim.targets.position) * aim.targets.normal, axis=-1)
+    np.testing.assert_allclose(out, [0.08, 0.0, 0.0], atol=1e-6)
+
+
 def test_out_of_reach_fails_at_the_time_out(reacher):
     run = _reach(_with(reacher, timeout=0.5), jnp.asarray([2.0, 0.0, 0.06]), 60)
-    assert np.all(run["outcome"][:48] == Outcome.RUNNING)
-    assert run["outcome"][-1] == Outcome.FAILED
+    assert np.all(run["outcome"][:48] == ReachOutcome.RUNNING)
+    assert run["outcome"][-1] == ReachOutcome.FAILED
 
 
 def test_no_candidate_is_an_outcome_of_its_own(reacher):
     run = _reach(_with(reacher, timeout=0.3), jnp.asarray([0.5, 0.0, -1.0]), 40)
-    assert run["outcome"][-1] == Outcome.NO_CANDIDATE
+    assert run["outcome"][-1] == ReachOutcome.NO_CANDIDATE
     assert np.all(run["velocity"] == 0.0)
 
 
 def test_one_re_selection_then_failure(reacher):
-    hasty = _with(reacher, fine_distance=10.0, fine_timeout=0.1, handoff_largest=0.0)
+    hasty = _with(reacher, fine_distance=10.0, fine_timeout=0.1)
     run = _reach(hasty, CENTRE, 40)
     changed = int(np.argmax(run["tries"] == 1))
     assert 8 <= changed <= 11
     assert run["index"][changed + 1] != run["index"][changed - 1]
-    assert run["outcome"][-1] == Outcome.FAILED and run["tries"][-1] == 1
+    assert run["outcome"][-1] == ReachOutcome.FAILED and run["tries"][-1] == 1
     none = _reach(_with(hasty, reselections=0), CENTRE, 40)
-    assert none["outcome"][15] == Outcome.FAILED and none["tries"][-1] == 0
+    assert none["outcome"][15] == ReachOutcome.FAILED and none["tries"][-1] == 0
 
 
 def _one_tick(reacher, q, centre):

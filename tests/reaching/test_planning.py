@@ -17,7 +17,7 @@ from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.guide import follow, track
+from mjx_grasp.reaching.guide import Tracked, follow, track
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.reaching.presets import preset
 from mjx_grasp.sim.collision import CollisionChecker
@@ -134,12 +134,12 @@ def test_guides_stay_while_the_object_does_and_track_it_when_it_moves(planned):
 
 
 def test_the_hand_comes_in_only_when_it_is_aligned(planned):
-    reacher, guide, p, R = _guide(planned)
-    body, config = reacher.body, reacher.config.guide
+    reacher, guide, _, _ = _guide(planned)
+    body, config, around = reacher.body, reacher.config.guide, _world(planned[2], 0)
 
     def one(q, left):
-        motion = body.kinematics.motion(q)
-        return follow(guide, guide.q, jnp.float32(0), left, motion, p, R, config, 0.01)
+        tracked = Tracked(guide.q, jnp.float32(0))
+        return follow(guide, tracked, left, body.kinematics.motion(q), around, config, 0.01)
 
     outside = jnp.float32(1.0)
     goal, left = one(guide.q[1], outside)  # at the retreated pose

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import qpax
+from problems import draw_problems, kkt_residuals, solution_errors
 
 from mjx_grasp.evaluation.reach.poses import draw_poses
-from mjx_grasp.evaluation.reach.problems import draw_problems, kkt_residuals, solution_errors
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.qp import QP, cold_start, scales, solve_qp
 

@@ -12,7 +12,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Outcome, Reacher
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome
 from mjx_grasp.reaching.planning import plan_again, plan_reach, start_library
 from mjx_grasp.reaching.presets import preset
 
@@ -62,8 +62,7 @@ def _run(name, body):
     config = settings.reach
     never = replace(
         config.controller,
-        handoff_midpoint=-1.0,
-        handoff_largest=-1.0,
+        hands_off=False,
         fine_timeout=np.inf,
         timeout=np.inf,
     )
@@ -149,7 +148,7 @@ def _run(name, body):
 def test_limits_hold_on_every_tick(run, body):
     assert np.all(np.abs(run["velocity"]) <= body.velocity_limit * (1 + 1e-6))
     assert np.all(run["q"] >= body.lower - 1e-5) and np.all(run["q"] <= body.upper + 1e-5)
-    assert np.all(run["outcome"] == Outcome.RUNNING)
+    assert np.all(run["outcome"] == ReachOutcome.RUNNING)
 
 
 def test_clearance_is_held(runs):

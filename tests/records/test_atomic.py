@@ -4,8 +4,14 @@ import json
 
 import pytest
 
-from mjx_grasp.errors import InputError
-from mjx_grasp.records.atomic import check_writable, replacing, write_json
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.atomic import (
+    check_new_folder,
+    check_writable,
+    read_json,
+    replacing,
+    write_json,
+)
 
 
 def test_a_writer_that_fails_leaves_the_file_as_it_was(tmp_path):
@@ -27,13 +33,55 @@ def test_whoever_reads_while_a_file_is_replaced_has_the_old_one_whole(tmp_path):
     assert json.loads(path.read_text()) == {"new": 2}
 
 
-def test_a_file_in_folders_that_are_not_there_yet_can_be_written(tmp_path):
-    check_writable("--out", tmp_path / "new" / "folder" / "a.json")
+def test_what_can_be_written_leaves_nothing_behind(tmp_path):
+    check_writable("--out", tmp_path / "a.json")
+    check_new_folder("--out", tmp_path / "new" / "folder")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_a_folder_that_does_not_exist_is_refused(tmp_path):
+    path = tmp_path / "missing" / "dir" / "a.json"
+    with pytest.raises(InputError, match=rf"--out: .*does not exist \({path.parent}\)"):
+        check_writable("--out", path)
 
 
 def test_what_cannot_be_written_is_refused_with_the_setting_and_the_reason(tmp_path):
     (tmp_path / "file").write_text("")
-    for path in (tmp_path, tmp_path / "file" / "a.json", "/proc/nowhere/a.json"):
-        with pytest.raises(InputError, match=r"--out: found .* that can be written \(.+\)"):
-            check_writable("--out", path)
+    (tmp_path / "made").mkdir()
+    for check, path in (
+        (check_writable, tmp_path),
+        (check_writable, tmp_path / "file" / "a.json"),
+        (check_writable, "/proc/a.json"),
+        (check_new_folder, tmp_path / "file"),
+        (check_new_folder, tmp_path / "file" / "folder"),
+        (check_new_folder, "/proc/nowhere/folder"),
+    ):
+        with pytest.raises(InputError, match=r"--out: found .* can be written \(.+\)"):
+            check("--out", path)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (None, "no such file"),
+        ("{", "no JSON"),
+        (b"\xff\xfe", "no JSON"),
+        ("9" * 5000, "no JSON"),
+        ("[" * 100_000, "nested too deep"),
+        ("[]", "a JSON list"),
+        ("3", "a JSON int"),
+    ],
+)
+def test_what_is_no_json_object_is_refused_by_name(tmp_path, text, found):
+    path = tmp_path / "a.json"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(FileError, match=rf"a\.json: found .*{found}.*expected facts"):
+        read_json(path, "facts")
+    with pytest.raises(FileError, match="Is a directory"):
+        read_json(tmp_path, "facts")
+
+
+def test_what_was_written_is_read(tmp_path):
+    write_json(tmp_path / "a.json", {"path": tmp_path, "numbers": (1, 2.5)})
+    assert read_json(tmp_path / "a.json", "facts") == {"path": str(tmp_path), "numbers": [1, 2.5]}

@@ -7,6 +7,7 @@ import yaml
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
 from mjx_grasp.robot.spec import CheckConfig, load_robot, main
 
 
@@ -46,6 +47,33 @@ def test_a_users_file_reads_like_the_shipped_one(write, shipped):
     mine, theirs = load_robot(path), load_robot()
     assert mine.mjcf.parent == path.parent
     assert dataclasses.replace(mine, mjcf=theirs.mjcf) == theirs
+
+
+def test_the_digest_is_that_of_description_and_mjcf(write, shipped):
+    """Of their content: neither comments, the order of keys nor ends of lines make another."""
+    known = load_robot()
+    path = write(yaml.safe_dump(dict(reversed(shipped.items())), sort_keys=False) + "# a comment\n")
+    mjcf = path.parent / "rizon4_hx5d20.xml"
+    text = mjcf.read_bytes()
+    mjcf.write_bytes(text.replace(b"\n", b"\r\n"))
+    assert load_robot(path).identity == known.identity == known.without_idle_fingers().identity
+    assert known.identity == RobotIdentity("rizon4_hx5d20", known.digest)
+    mjcf.write_bytes(text + b"\n")
+    others = {known.digest, load_robot(path).digest}
+    mjcf.write_bytes(text)
+    for keys, value in ((("arm", "name"), "another"), (("hand", "span"), [0.02, 0.08])):
+        others.add(load_robot(write(change(shipped, keys, value))).digest)
+    assert len(others) == 4
+
+
+def test_a_file_of_another_robot_is_refused():
+    known = load_robot().identity
+    for stored in (known, FIRST_ROBOT):
+        check_robot("file.npz", stored, known)
+    for stored in (dataclasses.replace(known, digest="a1" * 32), RobotIdentity("six_axis")):
+        with pytest.raises(FileError) as error:
+            check_robot("file.npz", stored, known)
+        assert str(error.value) == f"file.npz: found the robot {stored}, expected {known}"
 
 
 def change(content, path, value):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scripted import draw_of
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
 from mjx_grasp.errors import InputError
-from mjx_grasp.learning.brax_env import BraxClosingEnv
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.sim import mjx_engine
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.physics import make_params, policy_dofs
 from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 
 ROWS = jnp.array([0, 4, 8])
 
@@ -28,9 +28,9 @@ def checked(physics):
     compiled = jax.jit(physics.step)
 
     def step(*arguments):
-        state, readings = compiled(*arguments)
-        assert not readings.overflow.any()
-        return state, readings
+        state, measured, truth = compiled(*arguments)
+        assert not truth.overflow.any()
+        return state, measured, truth
 
     return step
 
@@ -61,30 +61,36 @@ def ramp(scene, starts, tick):
 
 @pytest.fixture(scope="module")
 def runs(scene, starts, native, step, rest, params):
-    """Readings of both engines over 40 ticks, 200 physics steps, and MJX's states."""
+    """What both engines report over 40 ticks, 200 physics steps, and MJX's states."""
     native_step = jax.jit(native.step)
     state, other = rest, native.init(starts.qpos[ROWS], starts.ctrl[ROWS])
     found, expected, states = [], [], []
     for tick in range(40):
         ctrl = ramp(scene, starts, tick)
-        state, readings = step(state, params, ctrl)
-        other, reference = native_step(other, params, ctrl)
-        found.append(jax.device_get(readings))
+        state, *reported = step(state, params, ctrl)
+        other, *reference = native_step(other, params, ctrl)
+        found.append(jax.device_get(reported))
         expected.append(jax.device_get(reference))
         states.append(state)
     return found, expected, states
 
 
+def part(reported, name):
+    """A field of what is measured or true."""
+    (whole,) = (x for x in reported if name in x._fields)
+    return np.asarray(getattr(whole, name), float)
+
+
 def worst(runs, name, ticks=slice(None)):
     found, expected, _ = runs
     return max(
-        np.abs(np.asarray(getattr(a, name), float) - getattr(b, name)).max()
+        np.abs(part(a, name) - part(b, name)).max()
         for a, b in zip(found[ticks], expected[ticks], strict=True)
     )
 
 
 def test_follows_native_before_contact_within_rounding(runs):
-    first = next(t for t, r in enumerate(runs[1]) if r.tip_found.any())
+    first = next(t for t, (_, r) in enumerate(runs[1]) if r.tip_found.any())
     assert 10 < first < 35
     before = slice(0, first)
     assert worst(runs, "q", before) < 1e-5  # rad
@@ -99,14 +105,15 @@ def test_follows_native_before_contact_within_rounding(runs):
 
 
 def test_follows_native_over_200_steps_with_contact(runs):
-    assert sum(r.tip_found.sum() for r in runs[1]) >= 10
+    assert sum(r.tip_found.sum() for _, r in runs[1]) >= 10
     assert worst(runs, "q") < 0.02  # rad
     assert worst(runs, "object_pos") < 1e-3  # m
     assert worst(runs, "object_quat") < 0.02
-    agree = [(a.tip_found == b.tip_found).mean() for a, b in zip(runs[0], runs[1], strict=True)]
-    assert np.mean(agree) > 0.95
+    touching = [np.array([r.tip_found for _, r in engine]) for engine in runs[:2]]
+    agree = (touching[0] == touching[1]).mean()
+    assert agree > 0.95
     force = [
-        np.sum([np.linalg.norm(r.finger_force, axis=-1) for r in engine], axis=0)
+        np.sum([np.linalg.norm(r.finger_force, axis=-1) for _, r in engine], axis=0)
         for engine in runs[:2]
     ]
     np.testing.assert_allclose(force[0], force[1], rtol=0.1, atol=0.5)
@@ -118,16 +125,16 @@ def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
     step = checked(physics)
     state, seen = rest, 0.0
     for tick in range(150):
-        state, readings = step(state, params, ramp(scene, starts, tick / 3))
+        state, measured, _ = step(state, params, ramp(scene, starts, tick / 3))
         expected = np.asarray(state.qfrc_constraint)[:, policy_dofs(scene)]
-        np.testing.assert_allclose(readings.external_torque[:, 0], expected, atol=3e-3)
+        np.testing.assert_allclose(measured.external_torque[:, 0], expected, atol=3e-3)
         seen = max(seen, np.abs(expected).max())
     assert seen > 0.05
     # A known force on the index tip: its Jᵀ f comes on top.
     tip = scene.model.body(scene.robot.hand.fingers[1].tip_body).id
     pushed = state.replace(xfrc_applied=state.xfrc_applied.at[:, tip, 1].set(1.5))
-    _, loaded = step(pushed, params, ramp(scene, starts, 50))
-    _, free = step(state, params, ramp(scene, starts, 50))
+    _, loaded, _ = step(pushed, params, ramp(scene, starts, 50))
+    _, free, _ = step(state, params, ramp(scene, starts, 50))
     import mujoco
 
     data, jac = mujoco.MjData(scene.model), np.zeros((3, scene.model.nv))
@@ -148,8 +155,8 @@ def test_full_buffers_are_reported(scene, starts, params, buffers):
     # The squeezed box needs more than one contact and the robot alone more than eight rows.
     physics = MjxPhysics(scene, len(ROWS), **buffers)
     state = physics.init(starts.qpos[ROWS], starts.ctrl[ROWS])
-    _, readings = jax.jit(physics.step)(state, params, starts.ctrl[ROWS])
-    assert readings.overflow.any()
+    _, _, truth = jax.jit(physics.step)(state, params, starts.ctrl[ROWS])
+    assert truth.overflow.any()
 
 
 def test_a_buffer_that_was_full_in_any_physics_step_is_reported(
@@ -159,8 +166,8 @@ def test_a_buffer_that_was_full_in_any_physics_step_is_reported(
     full = iter(np.eye(mjx_physics.substeps, len(ROWS), dtype=bool))
     # A function of its own, for the compiled step of the other tests is kept.
     step = jax.jit(lambda *given: mjx_physics.step(*given))
-    _, readings = step(rest, params, starts.ctrl[ROWS])
-    assert next(full, None) is None and readings.overflow.all()
+    _, _, truth = step(rest, params, starts.ctrl[ROWS])
+    assert next(full, None) is None and truth.overflow.all()
 
 
 @pytest.mark.parametrize(("world", "touched"), [(0, True), (2, False)], ids=["box", "dumbbell"])
@@ -175,12 +182,12 @@ def test_union_world_follows_the_single_object_scene(scene, starts, robot, runs,
     state = physics.init(starts.qpos[ROWS[own]], starts.ctrl[ROWS[own]])
     alone, found = make_params(jnp.zeros(1, int), 0.8), []
     for tick in range(32):
-        state, readings = step(state, alone, ramp(scene, starts, tick)[own])
+        state, *reported = step(state, alone, ramp(scene, starts, tick)[own])
         union = runs[0][tick]
         for name in ("q", "object_pos", "object_quat"):
-            difference = getattr(readings, name)[0] - getattr(union, name)[world]
+            difference = part(reported, name)[0] - part(union, name)[world]
             assert np.abs(difference).max() < 2e-6, (tick, name)
-        found.append(bool(readings.tip_found.any()))
+        found.append(bool(reported[1].tip_found.any()))
     assert any(found[:-5]) == touched
 
 
@@ -194,19 +201,19 @@ def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, nativ
     other = native.init(starts.qpos[rows], starts.ctrl[rows])
     other = other._replace(qvel=other.qvel.at[:, dof].set(0.4))
     for _ in range(6):
-        state, readings = step(state, params, starts.ctrl[rows])
-        other, reference = native.step(other, params, starts.ctrl[rows])
+        state, _, truth = step(state, params, starts.ctrl[rows])
+        other, _, reference = native.step(other, params, starts.ctrl[rows])
     expected = 0.4 - np.array([0.1, 0.3, 0.3]) * 9.81 * 0.06
-    np.testing.assert_allclose(readings.object_vel[:, 0], expected, atol=0.02)
-    np.testing.assert_allclose(readings.object_vel[:, 0], reference.object_vel[:, 0], atol=0.01)
+    np.testing.assert_allclose(truth.object_vel[:, 0], expected, atol=0.02)
+    np.testing.assert_allclose(truth.object_vel[:, 0], reference.object_vel[:, 0], atol=0.01)
     # The same upward force lifts the light box and not the heavy one.
     weight = scene.objects[0].mass * 9.81
     lifted = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
     body = scene.addresses.object_body
     force = lifted.xfrc_applied.at[:, body, 2].set(2 * weight)
-    lifted, readings = step(lifted.replace(xfrc_applied=force), params, starts.ctrl[rows])
-    np.testing.assert_allclose(readings.object_vel[:2, 2], 9.81 * 0.01, rtol=0.1)
-    assert abs(readings.object_vel[2, 2]) < 0.01
+    lifted, _, truth = step(lifted.replace(xfrc_applied=force), params, starts.ctrl[rows])
+    np.testing.assert_allclose(truth.object_vel[:2, 2], 9.81 * 0.01, rtol=0.1)
+    assert abs(truth.object_vel[2, 2]) < 0.01
 
 
 def test_world_fields_are_those_of_a_model_compiled_so(mjx_physics, robot, scene):
@@ -240,17 +247,17 @@ def test_reset_restarts_bit_for_bit_and_spares_the_others(
     mask = jnp.array([True, False, True])
     reset = mjx_physics.reset(used, mask, starts.qpos[ROWS], starts.ctrl[ROWS])
     ctrl = ramp(scene, starts, 31)
-    after, readings = step(reset, params, ctrl)
-    fresh, expected = step(rest, params, ctrl)
-    untouched, untouched_readings = step(used, params, ctrl)
+    after, _, truth = step(reset, params, ctrl)
+    fresh, _, expected = step(rest, params, ctrl)
+    untouched, _, untouched_truth = step(used, params, ctrl)
     for w, like, seen in (
         (0, fresh, expected),
         (2, fresh, expected),
-        (1, untouched, untouched_readings),
+        (1, untouched, untouched_truth),
     ):
         np.testing.assert_array_equal(after.qpos[w], like.qpos[w])
         np.testing.assert_array_equal(after.qvel[w], like.qvel[w])
-        np.testing.assert_array_equal(readings.tip_force[w], seen.tip_force[w])
+        np.testing.assert_array_equal(truth.tip_force[w], seen.tip_force[w])
 
 
 def test_packed_state_goes_on(scene, starts, mjx_physics, step, params, runs):
@@ -259,18 +266,15 @@ def test_packed_state_goes_on(scene, starts, mjx_physics, step, params, runs):
     again = mjx_physics.unpack({k: jnp.asarray(v) for k, v in stored.items()})
     ctrl = ramp(scene, starts, 26)
     for _ in range(2):
-        state, expected = step(state, params, ctrl)
-        again, found = step(again, params, ctrl)
+        state, *expected = step(state, params, ctrl)
+        again, *found = step(again, params, ctrl)
     for name in ("q", "qd", "object_pos", "tip_force", "external_torque"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(part(found, name), part(expected, name))
 
 
 def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
-    env = BraxClosingEnv(
-        ClosingEnv(mjx_physics, starts, ClosingConfig(), StartNoise(offset_m=0.0)),
-        len(ROWS),
-        stagger=False,
-    )
+    task = ClosingTask(mjx_physics, starts, ClosingTaskConfig(), StartNoise(offset_m=0.0))
+    env = BraxTask(task, len(ROWS), stagger=False)
     env_step = jax.jit(env.step)
     state = jax.jit(env.reset)(jax.random.PRNGKey(0))
     action = jnp.zeros((len(ROWS), 15))
@@ -291,24 +295,20 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
     for w in (0, 2):
         np.testing.assert_array_equal(after.obs["state"][w], clean.obs["state"][w])
     for _ in range(3):
-        leaves = (
-            after.obs,
-            after.reward,
-            after.pipeline_state.episode,
-            after.pipeline_state.readings,
-        )
+        inner = after.pipeline_state
+        leaves = (after.obs, after.reward, inner.episode, inner.closer, inner.measured, inner.truth)
         assert all(np.isfinite(x).all() for x in jax.tree.leaves(leaves))
         after = env_step(after, action)
         assert not after.info["broken"].any()
     # It goes on as a world that never broke: same row, same object, same moments.
-    fresh, _ = jax.jit(env.env.start)(draw_of(after.pipeline_state.episode.row))
+    fresh, _ = jax.jit(task.start)(draw_of(after.pipeline_state.episode.row))
     fresh = clean.replace(pipeline_state=fresh)
-    assert after.pipeline_state.episode.tick[1] == 3
+    assert after.info["age"][1] == after.pipeline_state.closer.tick[1] == 3
     for _ in range(3):
         fresh = env_step(fresh, action)
-    assert fresh.pipeline_state.episode.tick[1] == 3
+    assert fresh.pipeline_state.closer.tick[1] == 3
     np.testing.assert_allclose(
-        after.pipeline_state.readings.q[1], fresh.pipeline_state.readings.q[1], atol=1e-5
+        after.pipeline_state.measured.q[1], fresh.pipeline_state.measured.q[1], atol=1e-5
     )
 
 

@@ -37,8 +37,8 @@ def advance(physics, starts, rows, ctrl, ticks, params=None):
     state = physics.init(starts.qpos[rows], starts.ctrl[rows])
     step = jax.jit(physics.step)
     for _ in range(ticks):
-        state, readings = step(state, params, ctrl)
-    return state, readings
+        state, *reported = step(state, params, ctrl)
+    return state, *reported
 
 
 def reference(model, qpos, ctrl, ticks, substeps=5):
@@ -77,37 +77,37 @@ def test_contacts_that_find_no_room_are_an_overflow(robot, monkeypatch):
         qpos[0, one.addresses.object_qpos[:3]] = (0.5, 0.0, 0.015)
         ctrl = jnp.zeros((1, one.model.nu))
         params = make_params(jnp.array([0]), 0.8)
-        _, readings = physics.step(physics.init(jnp.asarray(qpos), ctrl), params, ctrl)
-        found[options] = bool(readings.overflow[0])
+        _, _, truth = physics.step(physics.init(jnp.asarray(qpos), ctrl), params, ctrl)
+        found[options] = bool(truth.overflow[0])
     assert found == {small: True, set_options: False}
 
 
 def test_worlds_follow_plain_mujoco(scene, starts, native, robot, handmade_objects):
     ctrl = closing_ctrl(scene, starts, ROWS)
-    state, readings = advance(native, starts, ROWS, ctrl, 15)
-    assert readings.tip_found.any()
+    state, measured, truth = advance(native, starts, ROWS, ctrl, 15)
+    assert truth.tip_found.any()
     for w, row in enumerate(ROWS):
         single = build_scene([handmade_objects[w]], robot)
         data, constraint = reference(single.model, starts.qpos[row], ctrl[w], 15)
         at = single.addresses
         np.testing.assert_allclose(state.qpos[w], data.qpos, atol=1e-6)
-        np.testing.assert_allclose(readings.q[w], data.qpos[at.robot_qpos], atol=1e-6)
-        np.testing.assert_allclose(readings.qd[w], data.qvel[at.robot_dof], atol=1e-5)
-        np.testing.assert_allclose(readings.object_vel[w], data.qvel[at.object_dof], atol=1e-5)
-        np.testing.assert_allclose(readings.pad_pos[w], data.site_xpos[at.pad_sites], atol=1e-6)
+        np.testing.assert_allclose(measured.q[w], data.qpos[at.robot_qpos], atol=1e-6)
+        np.testing.assert_allclose(measured.qd[w], data.qvel[at.robot_dof], atol=1e-5)
+        np.testing.assert_allclose(truth.object_vel[w], data.qvel[at.object_dof], atol=1e-5)
+        np.testing.assert_allclose(measured.pad_pos[w], data.site_xpos[at.pad_sites], atol=1e-6)
         np.testing.assert_allclose(
-            readings.palm_mat[w].ravel(), data.site_xmat[at.palm_site], atol=1e-6
+            measured.palm_mat[w].ravel(), data.site_xmat[at.palm_site], atol=1e-6
         )
         np.testing.assert_allclose(
-            readings.finger_force[w], data.sensordata[at.finger_force[:, 1:]], atol=1e-4
+            truth.finger_force[w], data.sensordata[at.finger_force[:, 1:]], atol=1e-4
         )
         np.testing.assert_allclose(
-            readings.tip_force[w], data.sensordata[at.tip_force[:, 1:]], atol=1e-4
+            truth.tip_force[w], data.sensordata[at.tip_force[:, 1:]], atol=1e-4
         )
-        assert readings.constraints[w] == data.nefc
+        assert truth.constraints[w] == data.nefc
         # The inverse-dynamics residual is what the constraints did to the policy's joints.
         np.testing.assert_allclose(
-            readings.external_torque[w], constraint[:, policy_dofs(single)], atol=2e-3
+            measured.external_torque[w], constraint[:, policy_dofs(single)], atol=2e-3
         )
 
 
@@ -130,10 +130,10 @@ def test_friction_acts_as_if_compiled(starts, native, scene, robot, handmade_obj
     slippery = build_scene(handmade_objects, robot, SceneConfig(friction=(0.2, 0.02, 1e-4)))
     ctrl = closing_ctrl(scene, starts, ROWS)
     params = make_params(starts.object_index[ROWS], 0.2)
-    found, _ = advance(native, starts, ROWS, ctrl, 15, params)
-    expected, _ = advance(NativePhysics(slippery, threads=1), starts, ROWS, ctrl, 15, params)
+    found, *_ = advance(native, starts, ROWS, ctrl, 15, params)
+    expected, *_ = advance(NativePhysics(slippery, threads=1), starts, ROWS, ctrl, 15, params)
     np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-6)
-    rough, _ = advance(native, starts, ROWS, ctrl, 15)
+    rough, *_ = advance(native, starts, ROWS, ctrl, 15)
     assert np.abs(rough.qpos - found.qpos).max() > 1e-5
 
 
@@ -142,12 +142,12 @@ def test_mass_acts_as_if_compiled(starts, native, scene, robot):
     # box() takes its inertia from the mass, so three times the mass is three times the inertia.
     rows = jnp.array([0])
     ctrl = closing_ctrl(scene, starts, rows)
-    found, _ = advance(native, starts, rows, ctrl, 15, make_params(jnp.array([0]), 0.8, 3.0))
-    expected, _ = advance(
+    found, *_ = advance(native, starts, rows, ctrl, 15, make_params(jnp.array([0]), 0.8, 3.0))
+    expected, *_ = advance(
         NativePhysics(heavy, threads=1), starts, rows, ctrl, 15, make_params(jnp.array([0]), 0.8)
     )
     np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-6)
-    light, _ = advance(native, starts, rows, ctrl, 15)
+    light, *_ = advance(native, starts, rows, ctrl, 15)
     assert np.abs(light.qpos - found.qpos).max() > 1e-5
 
 
@@ -160,13 +160,13 @@ def test_sliding_object_is_braked_by_its_friction(starts, native):
     state = state._replace(qvel=state.qvel.at[:, dof].set(0.4))
     step = jax.jit(native.step)
     for _ in range(6):
-        state, readings = step(state, params, starts.ctrl[rows])
+        state, _, truth = step(state, params, starts.ctrl[rows])
     expected = 0.4 - np.array([0.1, 0.3, 0.3]) * 9.81 * 0.06
-    np.testing.assert_allclose(readings.object_vel[:, 0], expected, atol=0.02)
+    np.testing.assert_allclose(truth.object_vel[:, 0], expected, atol=0.02)
 
 
 def test_reset_touches_the_masked_worlds_only(starts, native, scene):
-    state, _ = advance(native, starts, ROWS, closing_ctrl(scene, starts, ROWS), 5)
+    state, *_ = advance(native, starts, ROWS, closing_ctrl(scene, starts, ROWS), 5)
     mask = jnp.array([False, True, False])
     new = native.reset(state, mask, starts.qpos[:3], starts.ctrl[:3])
     fresh = native.init(starts.qpos[:3], starts.ctrl[:3])
@@ -181,7 +181,7 @@ def test_reset_touches_the_masked_worlds_only(starts, native, scene):
 def test_packed_state_goes_on_bit_for_bit(starts, native, scene):
     ctrl = closing_ctrl(scene, starts, ROWS)
     params = make_params(starts.object_index[ROWS], 0.8)
-    state, _ = advance(native, starts, ROWS, ctrl, 10)
+    state, *_ = advance(native, starts, ROWS, ctrl, 10)
     stored = {k: np.asarray(v) for k, v in native.pack(state).items()}
     again = native.unpack({k: jnp.asarray(v) for k, v in stored.items()})
     jax.tree.map(
@@ -196,10 +196,10 @@ def test_world_that_is_no_number_is_not_passed_off_as_a_sound_one(starts, native
     """MuJoCo resets a diverged world to its default pose by itself; that must not stay unseen."""
     params = make_params(starts.object_index[ROWS], 0.8)
     state = native.init(starts.qpos[ROWS], starts.ctrl[ROWS])
-    sound, expected = native.step(state, params, starts.ctrl[ROWS])
+    sound, expected, _ = native.step(state, params, starts.ctrl[ROWS])
     bad = state._replace(**{what: getattr(state, what).at[1, 3].set(jnp.nan)})
-    after, readings = native.step(bad, params, starts.ctrl[ROWS])
-    assert not np.isfinite(readings.q[1]).all()
+    after, measured, _ = native.step(bad, params, starts.ctrl[ROWS])
+    assert not np.isfinite(measured.q[1]).all()
     for w in (0, 2):
         np.testing.assert_array_equal(after.qpos[w], sound.qpos[w])
     # And the worker that met it is sound again.

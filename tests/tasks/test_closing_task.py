@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scripted import ScriptedPhysics, draw_of, still
 
-from mjx_grasp.closing.config import ClosingConfig, StartNoise
+from mjx_grasp.closing.config import ActionConfig, GripConfig, GuidanceConfig
+from mjx_grasp.evaluation.run import pressing
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
-from mjx_grasp.tasks.closing import ClosingEnv
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import failure_classes
 
@@ -14,147 +16,155 @@ QUIET = StartNoise(offset_m=0.0)
 TICKS = 400
 
 
-def scripted_env(scene, starts, script, config=None, **settings):
-    return ClosingEnv(ScriptedPhysics(scene, script), starts, config, QUIET, **settings)
+def scripted_task(scene, starts, script, config=None, **settings):
+    return ClosingTask(ScriptedPhysics(scene, script), starts, config, QUIET, **settings)
 
 
-def play(env, rows, ticks, action=None, state=None):
+def play(task, rows, ticks, action=None, state=None):
     """States after each tick, stacked."""
     w = len(rows)
-    action = jnp.zeros((w, env.action_size)) if action is None else action
+    action = jnp.zeros((w, task.action_size)) if action is None else action
 
     def tick(state, _):
-        state, out = env.tick(state, action)
+        state, out = task.tick(state, action)
         return state, (state, out)
 
-    start = jax.jit(env.start)(draw_of(rows))[0] if state is None else state
+    start = jax.jit(task.start)(draw_of(rows))[0] if state is None else state
     return jax.jit(lambda s: jax.lax.scan(tick, s, length=ticks)[1])(start)
+
+
+def total(out):
+    """The reward of all terms."""
+    return np.sum([np.asarray(term) for term in out.rewards.values()], axis=0)
 
 
 def lifting_script(starts, rows, contact_tick=20, rise_tick=60, ticks=TICKS):
     """Contacts from one tick on; object and palm rise together from another."""
     script = still(starts, rows, ticks)
-    script.tip_found[contact_tick:] = True
-    script.finger_force[contact_tick:] = [0.0, 4.0, 0.0]
-    for x in (script.object_pos, script.palm_pos):
+    script.truth.tip_found[contact_tick:] = True
+    script.truth.finger_force[contact_tick:] = [0.0, 4.0, 0.0]
+    for x in (script.truth.object_pos, script.measured.palm_pos):
         x[rise_tick:, :, 2] += 0.12
     return script
 
 
 def test_observation_has_66_numbers_and_actions_15(scene, starts):
-    env = scripted_env(scene, starts, still(starts, [0], 2))
-    assert policy_sizes(scene.robot) == (66, env.action_size) == (66, 15)
-    _, obs = env.start(draw_of([0]))
+    task = scripted_task(scene, starts, still(starts, [0], 2))
+    assert policy_sizes(scene.robot) == (66, task.action_size) == (66, 15)
+    _, obs = task.start(draw_of([0]))
     assert obs["state"].shape == (1, 66)
-    plain = scripted_env(scene, starts, still(starts, [0], 2), with_privileged=False)
+    plain = scripted_task(scene, starts, still(starts, [0], 2), with_privileged=False)
     assert plain.start(draw_of([0]))[1].keys() == {"state"}
 
 
 def test_observation_stacks_two_steps_oldest_first(scene, starts):
     script = still(starts, [0], 3)
     rng = np.random.default_rng(0)
-    script.q[:] += rng.normal(size=script.q.shape) * 0.01
-    script.qd[:] = rng.normal(size=script.qd.shape) * 0.01
-    env = scripted_env(scene, starts, script)
-    nine = env.joints.fingers
-    state, obs = env.start(draw_of([0]))
-    q0 = starts.readings.q[0, nine]
+    seen = script.measured
+    seen.q[:] += rng.normal(size=seen.q.shape) * 0.01
+    seen.qd[:] = rng.normal(size=seen.qd.shape) * 0.01
+    task = scripted_task(scene, starts, script)
+    nine = task.closer.joints.at.fingers
+    state, obs = task.start(draw_of([0]))
+    q0 = starts.measured.q[0, nine]
     np.testing.assert_array_equal(obs["state"][0], [*q0, *np.zeros(24)] * 2)
     actions = rng.uniform(-1, 1, (3, 1, 15)).astype(np.float32)
-    seen, tick = [np.array([*q0, *np.zeros(24)])], jax.jit(env.tick)
+    steps, tick = [np.array([*q0, *np.zeros(24)])], jax.jit(task.tick)
     for t in range(3):
         state, out = tick(state, jnp.asarray(actions[t]))
-        seen.append(np.concatenate([script.q[t, 0, nine], script.qd[t, 0, nine], actions[t, 0]]))
-        np.testing.assert_allclose(out.obs["state"][0], np.concatenate(seen[-2:]), atol=1e-7)
+        steps.append(np.concatenate([seen.q[t, 0, nine], seen.qd[t, 0, nine], actions[t, 0]]))
+        np.testing.assert_allclose(out.obs["state"][0], np.concatenate(steps[-2:]), atol=1e-7)
 
 
 def test_actor_is_blind_to_the_object(scene, starts):
     """Same joints, another object pose, contacts and forces: the same 66 numbers."""
     script = still(starts, [0, 0], 3)
-    script.object_pos[:, 1] += 0.05
-    script.tip_force[:, 1] = 1.0
-    script.tip_found[:, 1, 0] = True
-    obs = play(scripted_env(scene, starts, script), [0, 0], 3)[1].obs
+    script.truth.object_pos[:, 1] += 0.05
+    script.truth.tip_force[:, 1] = 1.0
+    script.truth.tip_found[:, 1, 0] = True
+    obs = play(scripted_task(scene, starts, script), [0, 0], 3)[1].obs
     np.testing.assert_array_equal(obs["state"][:, 0], obs["state"][:, 1])
     assert (obs["privileged_state"][:, 0] != obs["privileged_state"][:, 1]).any()
 
 
 def test_actions_beyond_one_act_as_one(scene, starts):
-    env = scripted_env(scene, starts, still(starts, [0, 0], 3))
+    task = scripted_task(scene, starts, still(starts, [0, 0], 3))
     actions = jnp.stack([jnp.full(15, 50.0), jnp.ones(15)])
-    ctrl = play(env, [0, 0], 3, actions)[0].physics.ctrl
+    ctrl = play(task, [0, 0], 3, actions)[0].physics.ctrl
     np.testing.assert_array_equal(ctrl[:, 0], ctrl[:, 1])
 
 
 def test_actions_move_their_own_joints_by_the_published_amounts(scene, starts):
-    config = ClosingConfig(residual="integrated")
-    env = scripted_env(scene, starts, still(starts, [0] * 16, 3), config)
-    at = scene.addresses
+    config = ClosingTaskConfig(action=ActionConfig(residual="integrated"))
+    task = scripted_task(scene, starts, still(starts, [0] * 16, 3), config)
+    at, parts = scene.addresses, task.closer.joints.at
     # World k takes action k alone, the last world none.
     actions = jnp.eye(16, 15) * 0.5
-    ctrl = np.asarray(play(env, [0] * 16, 1, actions)[0].physics.ctrl[0])
+    ctrl = np.asarray(play(task, [0] * 16, 1, actions)[0].physics.ctrl[0])
     for k in range(15):
-        joint = env.joints.fingers[k] if k < 9 else env.joints.arm_policy[k - 9]
+        joint = parts.fingers[k] if k < 9 else parts.arm_policy[k - 9]
         expected = np.zeros(ctrl.shape[1])
         expected[at.robot_ctrl[joint]] = (5.0 if k < 9 else 0.15) * 0.5 * 0.01
         np.testing.assert_allclose(ctrl[k] - ctrl[15], expected, atol=1e-6)
 
 
 def test_three_contacts_start_the_lift_at_once(scene, starts):
-    env = scripted_env(scene, starts, lifting_script(starts, [0], contact_tick=7))
-    states, _ = play(env, [0], 40)
-    np.testing.assert_array_equal(states.episode.lifting[:, 0], np.arange(40) >= 7)
-    assert states.episode.landed[:7].sum() == 0 and states.episode.landed[7:].all()
+    task = scripted_task(scene, starts, lifting_script(starts, [0], contact_tick=7))
+    states, _ = play(task, [0], 40)
+    np.testing.assert_array_equal(states.closer.lifting[:, 0], np.arange(40) >= 7)
+    assert states.closer.landed[:7].sum() == 0 and states.closer.landed[7:].all()
 
 
 def test_two_contacts_wait_for_1_6_seconds_and_one_never_lifts(scene, starts):
     script = still(starts, [0, 0], TICKS)
-    script.tip_found[10:, 0, :2] = True
-    script.tip_found[10:, 1, :1] = True
-    states, _ = play(scripted_env(scene, starts, script), [0, 0], TICKS)
+    script.truth.tip_found[10:, 0, :2] = True
+    script.truth.tip_found[10:, 1, :1] = True
+    states, _ = play(scripted_task(scene, starts, script), [0, 0], TICKS)
     # Tick 159 is the one after which 1.6 s have passed.
-    np.testing.assert_array_equal(states.episode.lifting[:, 0], np.arange(TICKS) >= 159)
-    assert not states.episode.lifting[:, 1].any()
+    np.testing.assert_array_equal(states.closer.lifting[:, 0], np.arange(TICKS) >= 159)
+    assert not states.closer.lifting[:, 1].any()
 
 
 def test_observer_alone_can_land_fingers_and_start_the_lift(scene, starts):
     script = still(starts, [0], 30)
-    script.external_torque[5:] = 0.3
-    states, out = play(scripted_env(scene, starts, script), [0], 30)
-    lifting = np.asarray(states.episode.lifting[:, 0])
+    script.measured.external_torque[5:] = 0.3
+    states, out = play(scripted_task(scene, starts, script), [0], 30)
+    lifting = np.asarray(states.closer.lifting[:, 0])
     assert lifting[-1] and 7 <= lifting.argmax() <= 9  # three ticks in a row
     # The reward counts the solver's contacts: what the observer takes for one pays nothing.
-    np.testing.assert_allclose(out.reward[-1], 2.0, rtol=1e-5)
+    np.testing.assert_allclose(total(out)[-1], 2.0, rtol=1e-5)
 
 
 def test_scripted_lift_commands_the_palm_up_by_its_height(scene, starts):
     """Arm commands integrated with the palm's Jacobian, the arm standing still in the script."""
-    env = scripted_env(scene, starts, lifting_script(starts, [0], contact_tick=0))
-    states, _ = play(env, [0], 200)
+    task = scripted_task(scene, starts, lifting_script(starts, [0], contact_tick=0))
+    states, _ = play(task, [0], 200)
     at = scene.addresses
-    moved = states.episode.arm[-1, 0] - states.episode.arm[0, 0]
+    moved = states.closer.arm[-1, 0] - states.closer.arm[0, 0]
     from mjx_grasp.closing import control
 
-    jac = control.palm_jacobian(jax.tree.map(lambda x: x[0], env.starts.readings), env.joints.arm)
+    first, arm = jax.tree.map(lambda x: x[0], starts.measured), task.closer.joints.at.arm
+    jac = control.palm_jacobian(first, arm)
     rise = np.asarray(jac @ moved)
     np.testing.assert_allclose(rise[2], 0.15, rtol=0.05)
     np.testing.assert_allclose(rise[[0, 1]], 0.0, atol=0.01)
-    ctrl = states.physics.ctrl[:, 0, at.robot_ctrl[env.joints.arm]]
-    np.testing.assert_allclose(ctrl, states.episode.arm[:, 0], atol=1e-6)
+    ctrl = states.physics.ctrl[:, 0, at.robot_ctrl[arm]]
+    np.testing.assert_allclose(ctrl, states.closer.arm[:, 0], atol=1e-6)
     assert (ctrl[:, 6] == ctrl[0, 6]).all()  # joint 7 is held
 
 
 def test_landed_finger_is_held_and_pushed_with_the_grip_force(scene, starts):
     script = still(starts, [0], 120)
-    script.tip_found[10:, 0, 1] = True  # the index alone
-    config = ClosingConfig(grip_force=2.0, grip_together=False, approach_s=9.0)
-    env = scripted_env(scene, starts, script, config)
-    states, _ = play(env, [0], 120)
-    hold = np.asarray(states.episode.hold[:, 0])
+    script.truth.tip_found[10:, 0, 1] = True  # the index alone
+    config = ClosingTaskConfig(grip=GripConfig(force=2.0, together=False, approach_s=9.0))
+    task = scripted_task(scene, starts, script, config)
+    states, _ = play(task, [0], 120)
+    hold = np.asarray(states.closer.hold[:, 0])
     assert (hold[11:, 1] == hold[11, 1]).all()
     assert (hold[11:, 0] != hold[10, 0]).any()
-    at, joints = scene.addresses, env.joints
-    ctrl = np.asarray(states.physics.ctrl[:, 0, at.robot_ctrl[joints.fingers]]).reshape(-1, 3, 3)
+    at, joints = scene.addresses, task.closer.joints
+    fingers = at.robot_ctrl[joints.at.fingers]
+    ctrl = np.asarray(states.physics.ctrl[:, 0, fingers]).reshape(-1, 3, 3)
     push = (ctrl - hold) * joints.stiffness.reshape(3, 3)
     assert np.abs(push[:, [0, 2]]).max() < 1e-5
     # Jᵀ(F·n_inward) of MuJoCo's own Jacobian.
@@ -165,8 +175,8 @@ def test_landed_finger_is_held_and_pushed_with_the_grip_force(scene, starts):
     mujoco.mj_forward(scene.model, data)
     jac = np.zeros((3, scene.model.nv))
     mujoco.mj_jacSite(scene.model, data, jac, None, at.pad_sites[1])
-    dofs = at.robot_dof[joints.per_finger[1]]
-    expected = jac[:, dofs].T @ (2.0 * -np.asarray(starts.normals[0, 1]))
+    dofs = at.robot_dof[joints.at.per_finger[1]]
+    expected = jac[:, dofs].T @ (2.0 * -np.asarray(starts.targets.normal[0, 1]))
     np.testing.assert_allclose(push[-1, 1], expected, atol=2e-5)
     np.testing.assert_allclose(push[10 + 26, 1], expected * 0.5, rtol=0.05, atol=1e-4)
     assert np.abs(push[:11]).max() < 1e-5
@@ -175,10 +185,10 @@ def test_landed_finger_is_held_and_pushed_with_the_grip_force(scene, starts):
 def test_fingers_grip_together_or_when_the_approach_has_taken_too_long(scene, starts):
     """World 0: one lands at tick 10, the others at 40; world 1: one lands, the others never."""
     script = still(starts, [0, 0], 130)
-    script.tip_found[10:, :, 1] = True
-    script.tip_found[40:, 0] = True
-    states, _ = play(scripted_env(scene, starts, script), [0, 0], 130)
-    ticks = np.asarray(states.episode.grip_ticks)
+    script.truth.tip_found[10:, :, 1] = True
+    script.truth.tip_found[40:, 0] = True
+    states, _ = play(scripted_task(scene, starts, script), [0, 0], 130)
+    ticks = np.asarray(states.closer.grip_ticks)
     assert (ticks == ticks[..., :1]).all()
     np.testing.assert_array_equal(ticks[:, 0, 0], np.maximum(np.arange(130) - 39, 0))
     np.testing.assert_array_equal(ticks[:, 1, 0], np.maximum(np.arange(130) - 99, 0))
@@ -187,12 +197,13 @@ def test_fingers_grip_together_or_when_the_approach_has_taken_too_long(scene, st
 def test_finger_that_arrives_without_touching_grips(scene, starts):
     """At the contact itself; 4 mm before it; 8 mm before it."""
     script = still(starts, [0, 0, 0], 4)
-    goal, way = starts.contacts[0], starts.contacts[0] - starts.readings.pad_pos[0]
+    goal = starts.targets.position[0]
+    way = goal - starts.measured.pad_pos[0]
     unit = way / np.linalg.norm(way, axis=-1, keepdims=True)
     for w, left in enumerate((0.0, 0.004, 0.008)):
-        script.pad_pos[:, w] = goal - left * unit
-    states, _ = play(scripted_env(scene, starts, script), [0, 0, 0], 4)
-    np.testing.assert_array_equal(states.episode.grip_ticks[-1, :, 0], [4, 4, 0])
+        script.measured.pad_pos[:, w] = goal - left * unit
+    states, _ = play(scripted_task(scene, starts, script), [0, 0, 0], 4)
+    np.testing.assert_array_equal(states.closer.grip_ticks[-1, :, 0], [4, 4, 0])
 
 
 OUTCOMES = ("held", "late", "slipped", "dropped", "left", "carried")
@@ -204,22 +215,23 @@ def outcomes(scene, starts):
     script = lifting_script(starts, [0] * len(OUTCOMES))
     world = {name: w for w, name in enumerate(OUTCOMES)}
     late = lifting_script(starts, [0], TICKS - 2, TICKS - 1)
-    for name in script._fields:
-        getattr(script, name)[:, world["late"]] = getattr(late, name)[:, 0]
-    script.object_pos[80:, world["slipped"], 1] += 0.031
-    for x in (script.object_pos, script.palm_pos):
+    for whole, one in zip(jax.tree.leaves(script), jax.tree.leaves(late), strict=True):
+        whole[:, world["late"]] = one[:, 0]
+    places = (script.truth.object_pos, script.measured.palm_pos)
+    script.truth.object_pos[80:, world["slipped"], 1] += 0.031
+    for x in places:
         x[80:, world["dropped"]] = x[0, world["dropped"]]
-    script.object_pos[60:, world["left"], 2] -= 0.03
+    script.truth.object_pos[60:, world["left"], 2] -= 0.03
     # Pushed before the lift, then turned together with the palm.
     w = world["carried"]
-    script.object_pos[10:, w, 0] += 0.05
+    script.truth.object_pos[10:, w, 0] += 0.05
     c, s = np.cos(0.6), np.sin(0.6)
     T = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.float32)
-    for x in (script.object_pos, script.palm_pos):
+    for x in places:
         x[100:, w] = x[100:, w] @ T.T
-    script.palm_mat[100:, w] = T @ script.palm_mat[100:, w]
-    env = scripted_env(scene, starts, script)
-    trials = run_trials(env, zero_controller(env), draw_of([0] * len(OUTCOMES)), len(OUTCOMES))
+    script.measured.palm_mat[100:, w] = T @ script.measured.palm_mat[100:, w]
+    task = scripted_task(scene, starts, script)
+    trials = run_trials(task, zero_controller(task), draw_of([0] * len(OUTCOMES)), len(OUTCOMES))
     return {name: type(trials)(*(x[w] for x in trials)) for name, w in world.items()}
 
 
@@ -254,9 +266,9 @@ def test_force_counts_every_finger_and_only_from_lift_onset_on(scene, starts):
     norms[10] = 50.0  # before the lift
     norms[100] = [7.0, 30.0, 7.0]
     direction = np.array([0.48, -0.6, 0.64], np.float32)
-    script.finger_force[:, 0] = norms[..., None] * direction
-    env = scripted_env(scene, starts, script)
-    trials = run_trials(env, zero_controller(env), draw_of([0]), 1)
+    script.truth.finger_force[:, 0] = norms[..., None] * direction
+    task = scripted_task(scene, starts, script)
+    trials = run_trials(task, zero_controller(task), draw_of([0]), 1)
     np.testing.assert_allclose(trials.force_mean, norms[20:].mean(), rtol=1e-4)
     np.testing.assert_allclose(trials.force_peak, 30.0, rtol=1e-5)
 
@@ -267,21 +279,15 @@ def test_peak_rise_is_reported(outcomes):
 
 def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
     script = lifting_script(starts, [0], contact_tick=5, rise_tick=400)
-    _, out = play(scripted_env(scene, starts, script), [0], 200)
-    reward = np.asarray(out.reward[:, 0])
+    _, out = play(scripted_task(scene, starts, script), [0], 200)
+    reward = total(out)[:, 0]
     # Acquiring, standing still: 3·mean exp(−|GVF|/(0.5(|GVF| + 0.02))).
-    from mjx_grasp.closing.guidance import guidance_field
+    from mjx_grasp.closing.guidance import goal_frame, guidance_field
 
-    r = jax.tree.map(lambda x: x[0], starts.readings)
+    r, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
+    goal = goal_frame(r.pad_mat, targets.normal)
     field = np.asarray(
-        guidance_field(
-            r.pad_pos,
-            r.pad_mat,
-            r.pad_pos,
-            starts.contacts[0],
-            starts.goal_mat[0],
-            ClosingConfig(),
-        )
+        guidance_field(r.pad_pos, r.pad_mat, r.pad_pos, targets.position, goal, GuidanceConfig())
     )
     size = np.sqrt((field[:, :3] ** 2).sum(-1) + 0.05**2 * (field[:, 3:] ** 2).sum(-1))
     reach = 3.0 * np.exp(-size / (0.5 * (size + 0.02))).mean()
@@ -295,22 +301,23 @@ def test_reward_of_each_stage_on_a_hand_made_state(scene, starts):
 
 def test_world_that_is_no_number_is_reported_and_earns_nothing(scene, starts):
     script = still(starts, [0, 1], 3)
-    script.q[1:, 1] = script.qd[1:, 1] = np.nan
-    _, out = play(scripted_env(scene, starts, script), [0, 1], 3)
+    script.measured.q[1:, 1] = script.measured.qd[1:, 1] = np.nan
+    _, out = play(scripted_task(scene, starts, script), [0, 1], 3)
     np.testing.assert_array_equal(out.broken, [[False, False], [False, True], [False, True]])
-    np.testing.assert_array_equal(out.reward[1:, 1], 0.0)
-    assert np.isfinite(out.reward).all()
+    for term in out.rewards.values():
+        np.testing.assert_array_equal(term[1:, 1], 0.0)
+        assert np.isfinite(term).all()
     assert np.isfinite(out.obs["state"][:, 0]).all()
 
 
 def test_reset_touches_the_masked_worlds_only(scene, starts, native):
-    env = ClosingEnv(native, starts, ClosingConfig(), QUIET)
+    task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
     rows = [0, 3, 6, 1]
-    before = jax.tree.map(lambda x: x[-1], play(env, rows, 12)[0])
+    before = jax.tree.map(lambda x: x[-1], play(task, rows, 12)[0])
     mask = jnp.array([False, True, False, True])
     draw = draw_of([2, 4, 5, 8])
-    after, obs = jax.jit(env.reset)(before, mask, draw)
-    fresh, fresh_obs = jax.jit(env.start)(draw)
+    after, obs = jax.jit(task.reset)(before, mask, draw)
+    fresh, fresh_obs = jax.jit(task.start)(draw)
     for w in range(4):
         expected = fresh if mask[w] else before
         jax.tree.map(lambda a, b, w=w: np.testing.assert_array_equal(a[w], b[w]), after, expected)
@@ -319,63 +326,64 @@ def test_reset_touches_the_masked_worlds_only(scene, starts, native):
 
 
 def test_world_that_was_reset_goes_on_as_a_fresh_one(starts, native):
-    env = ClosingEnv(native, starts, ClosingConfig(), QUIET)
-    used = jax.tree.map(lambda x: x[-1], play(env, [0, 3], 15)[0])
+    task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
+    used = jax.tree.map(lambda x: x[-1], play(task, [0, 3], 15)[0])
     draw = draw_of([1, 4])
-    reset, _ = jax.jit(env.reset)(used, jnp.ones(2, bool), draw)
+    reset, _ = jax.jit(task.reset)(used, jnp.ones(2, bool), draw)
     action = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (2, 15)), jnp.float32)
-    again = play(env, [1, 4], 10, action, state=reset)
-    fresh = play(env, [1, 4], 10, action)
+    again = play(task, [1, 4], 10, action, state=reset)
+    fresh = play(task, [1, 4], 10, action)
     jax.tree.map(np.testing.assert_array_equal, again, fresh)
 
 
 def test_worlds_together_agree_with_worlds_alone(starts, native):
-    env = ClosingEnv(native, starts, ClosingConfig(), QUIET)
+    task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
     rows = [0, 4, 8]
     action = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (3, 15)), jnp.float32)
-    together = play(env, rows, 8, action)[1]
+    together = play(task, rows, 8, action)[1]
     for w, row in enumerate(rows):
-        alone = play(env, [row], 8, action[w : w + 1])[1]
+        alone = play(task, [row], 8, action[w : w + 1])[1]
         jax.tree.map(
             lambda a, b, w=w: np.testing.assert_allclose(a[:, w], b[:, 0], atol=2e-5),
-            (together.obs["state"], together.reward),
-            (alone.obs["state"], alone.reward),
+            (together.obs["state"], together.rewards),
+            (alone.obs["state"], alone.rewards),
         )
 
 
 def test_jit_agrees_with_eager(starts, native):
-    env = ClosingEnv(native, starts, ClosingConfig(), QUIET)
+    task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
     action = jnp.asarray(np.random.default_rng(2).uniform(-1, 1, (2, 15)), jnp.float32)
-    state, _ = env.start(draw_of([0, 7]))
-    jitted = play(env, [0, 7], 4, action)[1]
+    state, _ = task.start(draw_of([0, 7]))
+    jitted = play(task, [0, 7], 4, action)[1]
     for t in range(4):
-        state, out = env.tick(state, action)
+        state, out = task.tick(state, action)
         np.testing.assert_allclose(out.obs["state"], jitted.obs["state"][t], atol=1e-5)
         np.testing.assert_allclose(
             out.obs["privileged_state"], jitted.obs["privileged_state"][t], atol=1e-4
         )
-        np.testing.assert_allclose(out.reward, jitted.reward[t], atol=1e-4)
+        for name, term in out.rewards.items():
+            np.testing.assert_allclose(term, jitted.rewards[name][t], atol=1e-4)
 
 
 def test_turning_the_scene_about_the_vertical_changes_nothing(starts, native):
     """Rows 0–2 are the same state, turned about the arm's base."""
-    env = ClosingEnv(native, starts, ClosingConfig(grip_force=5.0), QUIET)
-    states, out = play(env, [0, 1, 2], 60)
+    task = ClosingTask(native, starts, pressing(ClosingTaskConfig(), 5.0), QUIET)
+    states, out = play(task, [0, 1, 2], 60)
     for w in (1, 2):
-        np.testing.assert_allclose(out.reward[:, w], out.reward[:, 0], atol=5e-3)
+        np.testing.assert_allclose(total(out)[:, w], total(out)[:, 0], atol=5e-3)
         np.testing.assert_allclose(out.obs["state"][:, w], out.obs["state"][:, 0], atol=2e-3)
-        np.testing.assert_array_equal(states.episode.lifting[:, w], states.episode.lifting[:, 0])
+        np.testing.assert_array_equal(states.closer.lifting[:, w], states.closer.lifting[:, 0])
 
 
 def test_squeeze_lifts_a_box_and_too_little_force_lets_it_slip(starts, native):
     """The whole chain once, in the reference engine: 5 N hold 1.5 N of weight, 1 N does not."""
     outcome = {}
     for force in (1.0, 5.0):
-        env = ClosingEnv(native, starts, ClosingConfig(grip_force=force), QUIET)
-        states, _ = play(env, [0, 1], TICKS)
+        task = ClosingTask(native, starts, pressing(ClosingTaskConfig(), force), QUIET)
+        states, _ = play(task, [0, 1], TICKS)
         last = jax.tree.map(lambda x: x[-1], states.episode)
-        outcome[force] = np.asarray(last.outcome.success)
-        classes = failure_classes(last.outcome)
+        outcome[force] = np.asarray(last.progress.success)
+        classes = failure_classes(last.progress)
         total = sum(np.asarray(c).astype(int) for c in classes.values()) + outcome[force]
         np.testing.assert_array_equal(total, 1)
         assert last.force_peak.max() < 20.0

@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 from hypothesis import given
@@ -5,30 +6,27 @@ from hypothesis import strategies as st
 
 from mjx_grasp.tasks.observation import privileged, proprioception
 
+SCALARS = (0.0, 0.25, 0.1, 0.5, 0.2, 0.8, 1.0)
+"""Stage, times, rise, slip, friction and mass."""
 
-def critic(readings, contacts, normals, lifting=0.0):
-    w = len(readings.q)
+
+def critic(measured, truth, targets, landed=False, scalars=SCALARS):
+    w = len(measured.q)
     return np.asarray(
         privileged(
             jnp.arange(w * 66, dtype=jnp.float32).reshape(w, 66),
-            readings,
-            contacts,
-            normals,
-            landed=jnp.zeros((w, 3), bool),
-            lifting=jnp.full(w, lifting),
-            time=jnp.full(w, 0.25),
-            lift_time=jnp.full(w, 0.1),
-            rise=jnp.full(w, 0.05),
-            displacement=jnp.full(w, 0.01),
-            physics=jnp.array([[0.8, 1.0]] * w),
+            measured,
+            truth,
+            targets,
+            landed=jnp.full((w, 3), landed),
+            scalars=tuple(jnp.full(w, x) for x in scalars),
         )
     )
 
 
 def rows(starts, which):
-    return starts.readings._replace(
-        **{n: getattr(starts.readings, n)[which] for n in starts.readings._fields}
-    )
+    """Measured, truth and targets of some states."""
+    return jax.tree.map(lambda x: x[which], (starts.measured, starts.truth, starts.targets))
 
 
 def test_proprioception_keeps_its_order():
@@ -38,33 +36,37 @@ def test_proprioception_keeps_its_order():
 
 
 def test_critic_sees_what_the_actor_sees_first_and_all_is_finite(starts):
-    seen = critic(rows(starts, slice(0, 3)), starts.contacts[:3], starts.normals[:3])
+    seen = critic(*rows(starts, slice(0, 3)))
     np.testing.assert_array_equal(seen[:, :66], np.arange(3 * 66).reshape(3, 66))
     assert np.isfinite(seen).all()
 
 
 def test_critic_is_told_of_the_object_the_stage_and_the_forces(starts):
-    base, contacts, normals = rows(starts, slice(0, 1)), starts.contacts[:1], starts.normals[:1]
-    seen = critic(base, contacts, normals)
+    measured, truth, targets = rows(starts, slice(0, 1))
+    seen = critic(measured, truth, targets)
     for change in (
-        {"object_pos": base.object_pos + 0.01},
-        {"object_vel": base.object_vel + 0.1},
-        {"object_quat": jnp.roll(base.object_quat, 1, axis=-1)},
-        {"tip_found": ~base.tip_found},
-        {"tip_force": base.tip_force + 1.0},
+        {"object_pos": truth.object_pos + 0.01},
+        {"object_vel": truth.object_vel + 0.1},
+        {"object_quat": jnp.roll(truth.object_quat, 1, axis=-1)},
+        {"tip_found": ~truth.tip_found},
+        {"tip_force": truth.tip_force + 1.0},
     ):
-        assert (critic(base._replace(**change), contacts, normals) != seen).any(), change
-    assert (critic(base, contacts, normals, lifting=1.0) != seen).any()
+        assert (critic(measured, truth._replace(**change), targets) != seen).any(), change
+    assert (critic(measured, truth, targets, landed=True) != seen).any()
+    for k in range(len(SCALARS)):
+        changed = [x + (i == k) for i, x in enumerate(SCALARS)]
+        assert (critic(measured, truth, targets, scalars=changed) != seen).sum() == 1
 
 
 @given(shift=st.tuples(*[st.floats(-2, 2)] * 3))
 def test_critic_does_not_see_where_in_the_world_it_all_is(starts, shift):
-    base, by = rows(starts, slice(0, 1)), jnp.asarray(shift, jnp.float32)
-    places = ("object_pos", "palm_pos", "pad_pos")
-    moved = base._replace(**{name: getattr(base, name) + by for name in places})
-    found = critic(moved, starts.contacts[:1] + by, starts.normals[:1])
-    straight = critic(base, starts.contacts[:1], starts.normals[:1])
-    np.testing.assert_allclose(found, straight, atol=2e-4)
+    by, (measured, truth, targets) = jnp.asarray(shift, jnp.float32), rows(starts, slice(0, 1))
+    found = critic(
+        measured._replace(palm_pos=measured.palm_pos + by, pad_pos=measured.pad_pos + by),
+        truth._replace(object_pos=truth.object_pos + by),
+        targets._replace(position=targets.position + by),
+    )
+    np.testing.assert_allclose(found, critic(measured, truth, targets), atol=2e-4)
 
 
 @given(angle=st.floats(-3, 3))
@@ -72,19 +74,24 @@ def test_critic_sees_vectors_relative_to_the_palm(starts, angle):
     """Turning the world about the vertical changes only the object's own quaternion."""
     c, s = np.cos(angle), np.sin(angle)
     T = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]], jnp.float32)
-    base = rows(starts, slice(0, 1))
-    base = base._replace(
+    measured, truth, targets = rows(starts, slice(0, 1))
+    truth = truth._replace(
         object_vel=jnp.array([[0.1, -0.2, 0.3, 1, 2, 3]]),
         tip_force=jnp.arange(9.0).reshape(1, 3, 3),
     )
-    turned = base._replace(
-        object_pos=base.object_pos @ T.T,
-        object_vel=jnp.concatenate([base.object_vel[:, :3] @ T.T, base.object_vel[:, 3:]], -1),
-        palm_pos=base.palm_pos @ T.T,
-        palm_mat=T @ base.palm_mat,
-        pad_pos=base.pad_pos @ T.T,
-        tip_force=base.tip_force @ T.T,
+    found = critic(
+        measured._replace(
+            palm_pos=measured.palm_pos @ T.T,
+            palm_mat=T @ measured.palm_mat,
+            pad_pos=measured.pad_pos @ T.T,
+        ),
+        truth._replace(
+            object_pos=truth.object_pos @ T.T,
+            object_vel=jnp.concatenate(
+                [truth.object_vel[:, :3] @ T.T, truth.object_vel[:, 3:]], -1
+            ),
+            tip_force=truth.tip_force @ T.T,
+        ),
+        targets._replace(position=targets.position @ T.T, normal=targets.normal @ T.T),
     )
-    straight = critic(base, starts.contacts[:1], starts.normals[:1])
-    found = critic(turned, starts.contacts[:1] @ T.T, starts.normals[:1] @ T.T)
-    np.testing.assert_allclose(found, straight, atol=2e-4)
+    np.testing.assert_allclose(found, critic(measured, truth, targets), atol=2e-4)

@@ -3,10 +3,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.robot.interface import Measured
+from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks import rewards
+from mjx_grasp.tasks.config import RewardConfig
 
-CONFIG = ClosingConfig()
+CONFIG = RewardConfig()
 seeds = st.integers(0, 2**31)
 
 
@@ -35,18 +37,37 @@ def state(seed):
     )
 
 
-def total(lifting, s):
-    f32 = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
-    return rewards.total(
-        jnp.asarray(lifting),
-        f32(s["twist"]),
-        f32(s["guidance"]),
-        jnp.asarray(s["touching"]),
-        f32(s["palm"]),
-        f32(s["speed"]),
-        tuple(f32(a) for a in s["actions"]),
-        CONFIG,
+def moment(lifting=False, **changes):
+    """A moment of one world in which all is zero but what is given."""
+    rest = dict(
+        guidance=np.zeros((3, 6)),
+        pad_twist=np.zeros((3, 6)),
+        palm_velocity=np.zeros(3),
+        lift_speed=0.0,
+        slip=0.0,
+        **{name: np.zeros(15) for name in ("action", "last_action", "before_last")},
     )
+    touching = changes.pop("touching", np.zeros(3, bool))
+    values = {name: jnp.asarray(x, jnp.float32) for name, x in (rest | changes).items()}
+    return rewards.Moment(
+        measured=Measured(*[jnp.zeros(0)] * len(Measured._fields)),
+        truth=Truth(*[jnp.zeros(0)] * len(Truth._fields))._replace(tip_found=jnp.asarray(touching)),
+        lifting=jnp.asarray(lifting),
+        **values,
+    )
+
+
+def total(lifting, s):
+    now = moment(
+        lifting,
+        pad_twist=s["twist"],
+        guidance=s["guidance"],
+        touching=s["touching"],
+        palm_velocity=s["palm"],
+        lift_speed=s["speed"],
+        **dict(zip(("action", "last_action", "before_last"), s["actions"], strict=True)),
+    )
+    return sum(term.weight * term.value(now) for term in rewards.closing_terms(CONFIG))
 
 
 @given(seed=seeds)
@@ -66,27 +87,25 @@ def test_total_agrees_with_the_published_weights(seed):
 
 def test_reach_is_one_on_the_field_and_known_beside_it():
     g = jnp.array([[0.08, 0, 0, 0, 0, 0]] * 3)
-    assert np.isclose(rewards.reach(g, g, CONFIG), 1.0, atol=1e-4)
+    at = lambda twist: float(rewards.reach(moment(guidance=g, pad_twist=twist), CONFIG))  # noqa: E731
+    assert np.isclose(at(g), 1.0, atol=1e-4)
     # Standing still: error 0.08 against a scale of 0.5·(0.08 + 0.02).
-    assert np.isclose(rewards.reach(0 * g, g, CONFIG), np.exp(-0.08 / 0.05), rtol=1e-4)
+    assert np.isclose(at(0 * g), np.exp(-0.08 / 0.05), rtol=1e-4)
     # One finger of three off.
-    one = g.at[0].set(0.0)
-    assert np.isclose(rewards.reach(one, g, CONFIG), (2 + np.exp(-1.6)) / 3, rtol=1e-4)
+    assert np.isclose(at(g.at[0].set(0.0)), (2 + np.exp(-1.6)) / 3, rtol=1e-4)
 
 
 @given(seed=seeds)
 def test_reach_stays_within_its_bounds(seed):
     s = state(seed)
-    value = float(
-        rewards.reach(
-            jnp.asarray(s["twist"], jnp.float32), jnp.asarray(s["guidance"], jnp.float32), CONFIG
-        )
-    )
-    assert 0.0 <= value <= 1.0
+    now = moment(pad_twist=s["twist"], guidance=s["guidance"])
+    assert 0.0 <= float(rewards.reach(now, CONFIG)) <= 1.0
 
 
 def test_lift_peaks_at_the_scripted_speed_and_falls_sideways():
-    at = lambda v, speed: float(rewards.lift(jnp.array(v), jnp.float32(speed), CONFIG))  # noqa: E731
+    def at(v, speed):
+        return float(rewards.lift(moment(palm_velocity=v, lift_speed=speed), CONFIG))
+
     assert np.isclose(at([0, 0, 0.15], 0.15), 1.0)
     assert np.isclose(at([0, 0, 0.05], 0.15), np.exp(-1), rtol=1e-4)
     assert np.isclose(at([0.06, 0.08, 0.15], 0.15), np.exp(-1), rtol=1e-4)
@@ -97,11 +116,17 @@ def test_lift_peaks_at_the_scripted_speed_and_falls_sideways():
 @given(seed=seeds)
 def test_constant_and_ramped_actions_cost_what_they_should(seed):
     a = jnp.asarray(np.random.default_rng(seed).uniform(-1, 1, 15), jnp.float32)
-    assert rewards.action_rate(a, a, CONFIG) == 0
-    assert rewards.action_acceleration(a, a, a, CONFIG) == 0
+    terms = {t.name: t for t in rewards.closing_terms(CONFIG)}
+
+    def paid(name, action, last, before=a):
+        now = moment(action=action, last_action=last, before_last=before)
+        return float(terms[name].weight * terms[name].value(now))
+
+    assert paid("action_rate", a, a) == 0
+    assert paid("action_acceleration", a, a, a) == 0
     # A constant slope has no second difference.
-    assert np.isclose(rewards.action_acceleration(3 * a, 2 * a, a, CONFIG), 0, atol=1e-6)
-    assert float(rewards.action_rate(2 * a, a, CONFIG)) <= 0
+    assert np.isclose(paid("action_acceleration", 3 * a, 2 * a, a), 0, atol=1e-6)
+    assert paid("action_rate", 2 * a, a) <= 0
 
 
 @given(seed=seeds, angle=st.floats(-3, 3))
@@ -120,4 +145,4 @@ def test_turning_the_world_about_the_vertical_changes_nothing(seed, angle):
 
 def test_contact_counts_fingers_in_batches():
     touching = jnp.array([[True, False, True], [False] * 3, [True] * 3])
-    np.testing.assert_array_equal(rewards.contact(touching), [2, 0, 3])
+    np.testing.assert_array_equal(rewards.contact(moment(touching=touching)), [2, 0, 3])

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted import draw_of
 
-from mjx_grasp.closing.config import StartNoise
+from mjx_grasp.closing.guidance import goal_frame
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.starts import (
     balanced_weights,
     build_starts,
@@ -28,14 +29,14 @@ def test_rows_hold_what_mujoco_says_of_the_state(scene, starts):
     for row in (0, 4, 8):
         data.qpos[:] = starts.qpos[row]
         mujoco.mj_forward(scene.model, data)
-        r = starts.readings
+        r, truth = starts.measured, starts.truth
         np.testing.assert_allclose(r.palm_pos[row], data.site_xpos[at.palm_site], atol=1e-6)
         np.testing.assert_allclose(r.pad_pos[row], data.site_xpos[at.pad_sites], atol=1e-6)
         np.testing.assert_allclose(
             r.pad_mat[row].reshape(3, 9), data.site_xmat[at.pad_sites], atol=1e-6
         )
         body = data.xpos[at.object_body]
-        np.testing.assert_allclose(r.object_pos[row], body, atol=1e-6)
+        np.testing.assert_allclose(truth.object_pos[row], body, atol=1e-6)
         # The command holds the posture.
         np.testing.assert_array_equal(
             starts.ctrl[row][at.robot_ctrl], starts.qpos[row][at.robot_qpos]
@@ -43,9 +44,10 @@ def test_rows_hold_what_mujoco_says_of_the_state(scene, starts):
 
 
 def test_pads_oppose_across_the_object_and_goals_point_into_it(starts):
-    inward = -np.asarray(starts.normals)
-    np.testing.assert_allclose(starts.goal_mat[..., :, 0], inward, atol=1e-5)
-    way = np.asarray(starts.contacts - starts.readings.pad_pos)
+    inward = -np.asarray(starts.targets.normal)
+    goal = goal_frame(starts.measured.pad_mat, starts.targets.normal)
+    np.testing.assert_allclose(goal[..., :, 0], inward, atol=1e-5)
+    way = np.asarray(starts.targets.position - starts.measured.pad_pos)
     assert ((way * inward).sum(-1) > 0.002).all()
 
 
@@ -107,10 +109,10 @@ def test_offset_shifts_along_the_table_only(starts):
     draw = draw_of([0, 4])._replace(offset=jnp.array([[0.003, -0.004], [0.0, 0.0]]))
     pose = np.asarray(placed_object(starts, draw, turned=False))
     np.testing.assert_allclose(
-        pose[0, :3] - np.asarray(starts.readings.object_pos[0]), [0.003, -0.004, 0], atol=1e-7
+        pose[0, :3] - np.asarray(starts.truth.object_pos[0]), [0.003, -0.004, 0], atol=1e-7
     )
-    np.testing.assert_array_equal(pose[1, :3], starts.readings.object_pos[4])
-    np.testing.assert_array_equal(pose[:, 3:], starts.readings.object_quat[jnp.array([0, 4])])
+    np.testing.assert_array_equal(pose[1, :3], starts.truth.object_pos[4])
+    np.testing.assert_array_equal(pose[:, 3:], starts.truth.object_quat[jnp.array([0, 4])])
 
 
 @given(seed=st.integers(0, 2**31))
@@ -123,7 +125,7 @@ def test_turned_objects_stand_on_the_table(starts, scene, seed):
         R = np.asarray(so3.quat_to_mat(pose[row, 3:]))
         assert abs((vertices @ R.T)[:, 2].min() + float(pose[row, 2])) < 2e-6
         # Turned in the world by the drawn rotation.
-        before = np.asarray(so3.quat_to_mat(starts.readings.object_quat[row]))
+        before = np.asarray(so3.quat_to_mat(starts.truth.object_quat[row]))
         turn = np.asarray(so3.log(jnp.asarray(R @ before.T)))
         np.testing.assert_allclose(turn, w[row], atol=1e-5)
 

@@ -4,27 +4,27 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.closing.config import ClosingConfig
+from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import (
     FAILURES,
     failure_classes,
-    initial_outcome,
-    update_outcome,
+    initial_progress,
+    update_progress,
 )
 
 # Five ticks instead of fifty.
-SHORT = ClosingConfig(success_hold_s=0.05)
+SHORT = SuccessConfig(hold_s=0.05)
 
 
 def play(rises, displacements, config=SHORT):
-    """Outcome after sequences [t, ...]."""
+    """Progress after sequences [t, ...]."""
 
-    def tick(outcome, now):
-        return update_outcome(outcome, *now, config), None
+    def tick(progress, now):
+        return update_progress(progress, *now, config, control_dt=0.01), None
 
     sequence = (jnp.asarray(rises, jnp.float32), jnp.asarray(displacements, jnp.float32))
-    outcome, _ = jax.lax.scan(tick, initial_outcome(sequence[0].shape[1:]), sequence)
-    return outcome, failure_classes(outcome)
+    progress, _ = jax.lax.scan(tick, initial_progress(sequence[0].shape[1:]), sequence)
+    return progress, failure_classes(progress)
 
 
 def expected_class(rises, displacements, needed=5):
@@ -50,13 +50,13 @@ steps = st.lists(
 @given(steps)
 def test_class_agrees_with_the_criterion_and_is_the_only_one(sequence):
     rises, displacements = zip(*sequence, strict=True)
-    outcome, classes = play(rises, displacements)
-    found = [n for n in FAILURES if bool(classes[n])] + ["success"] * bool(outcome.success)
+    progress, classes = play(rises, displacements)
+    found = [n for n in FAILURES if bool(classes[n])] + ["success"] * bool(progress.success)
     assert found == [expected_class(rises, displacements)]
 
 
 def test_published_thresholds():
-    config = ClosingConfig()
+    config = SuccessConfig()
     high, low = np.full(50, 0.1001), np.full(50, 0.0999)
     assert play(high, 0 * high, config)[0].success
     assert not play(high[:49], 0 * high[:49], config)[0].success
@@ -68,29 +68,29 @@ def test_published_thresholds():
 def test_a_break_starts_the_count_anew():
     high = np.full(99, 0.12)
     high[49] = 0.05
-    outcome, classes = play(high, 0 * high, ClosingConfig())
-    assert not outcome.success and classes["not_held"]
+    progress, classes = play(high, 0 * high, SuccessConfig())
+    assert not progress.success and classes["not_held"]
 
 
 def test_a_slip_before_the_height_is_no_slip_of_a_lifted_object():
-    outcome, classes = play([0.05, 0.05, 0.0], [0.05, 0.05, 0.05])
+    progress, classes = play([0.05, 0.05, 0.0], [0.05, 0.05, 0.05])
     assert classes["never_lifted"] and not classes["slipped"]
-    assert np.isclose(outcome.peak_rise, 0.05)
+    assert np.isclose(progress.peak_rise, 0.05)
 
 
 def test_dropping_it_after_success_stays_a_success():
     rises = [0.12] * 5 + [0.0] * 5
-    outcome, classes = play(rises, [0.0] * 5 + [0.5] * 5)
-    assert outcome.success and not any(bool(classes[n]) for n in FAILURES)
+    progress, classes = play(rises, [0.0] * 5 + [0.5] * 5)
+    assert progress.success and not any(bool(classes[n]) for n in FAILURES)
 
 
 def test_numbers_that_are_none_never_count_as_lifted():
-    outcome, classes = play([np.nan] * 10, [np.nan] * 10)
-    assert not outcome.success and classes["never_lifted"]
+    progress, classes = play([np.nan] * 10, [np.nan] * 10)
+    assert not progress.success and classes["never_lifted"]
 
 
 def test_worlds_do_not_mix():
     rises = np.zeros((10, 3))
     rises[:, 1] = 0.2
-    outcome, _ = play(rises, 0 * rises)
-    np.testing.assert_array_equal(outcome.success, [False, True, False])
+    progress, _ = play(rises, 0 * rises)
+    np.testing.assert_array_equal(progress.success, [False, True, False])

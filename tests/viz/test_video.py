@@ -11,7 +11,7 @@ from PIL import Image
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.trajectory import Trajectory, record, save_trajectory
 from mjx_grasp.viz import frames, video
-from mjx_grasp.viz.video import RenderError, VideoConfig, render_in_subprocess
+from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
 
 XML = """
 <mujoco><worldbody>

@@ -3,47 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.records.settings import Interval, Positive, Settings, Several
 
 TUNING_SEEDS = (1, 2, 3, 2752)
 """Poses on which settings were chosen or faults were found; results that count come from others."""
+Lengths = Annotated[tuple[Positive, Positive], Several(ascending=True)]
+"""A shortest and a longest length [m]."""
 
 
 @dataclass(frozen=True)
-class PoseDistribution:
+class PoseDistribution(Settings):
     """What is drawn uniformly, and from where."""
 
-    radius: tuple[float, float] = (0.020, 0.045)
+    radius: Lengths = (0.020, 0.045)
     """of the cylinder [m]"""
-    height: tuple[float, float] = (0.080, 0.200)
+    height: Lengths = (0.080, 0.200)
     """of the cylinder, end to end [m]"""
-    x: tuple[float, float] = (0.40, 0.65)
+    x: Interval = (0.40, 0.65)
     """of its centre [m]"""
-    y: tuple[float, float] = (-0.25, 0.25)
+    y: Interval = (-0.25, 0.25)
     """of its centre [m]"""
 
 
 class CylinderPoses(NamedTuple):
-    """Cylinders at rest on the table; arrays of one batch.
-
-    Attributes:
-        radius: ``[n]`` in [m].
-        half_length: ``[n]`` half the height, [m].
-        p_wo: ``[n, 3]`` centres in world, [m].
-        R_wo: ``[n, 3, 3]`` rotations; the axis is z.
-        lying: ``[n]`` on its side, else upright.
-    """
+    """Cylinders at rest on the table; arrays of one batch."""
 
     radius: Float[np.ndarray, " n"]
+    """[m]"""
     half_length: Float[np.ndarray, " n"]
+    """half the height [m]"""
     p_wo: Float[np.ndarray, "n 3"]
+    """centres in world [m]"""
     R_wo: Float[np.ndarray, "n 3 3"]
+    """rotations; the axis is z"""
     lying: Bool[np.ndarray, " n"]
+    """on its side, else upright"""
 
 
 def draw_poses(
@@ -55,14 +54,7 @@ def draw_poses(
         count: How many.
         seed: Of the draw; the first poses of a longer draw are those of a shorter one.
         distribution: Ranges.
-
-    Raises:
-        InputError: A count below one, or a negative seed.
     """
-    if count < 1:
-        raise InputError("poses", count, "a whole number from 1")
-    if seed < 0:
-        raise InputError("seed", seed, "a whole number from 0")
     d = distribution or PoseDistribution()
     ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
     unit = np.random.default_rng(seed).random((count, len(ranges)))

@@ -254,3 +254,11 @@ def residual_table(result: dict[str, Any], label: str) -> Table:
     paper = tuple("{:.1f} ± {:.1f}".format(*PAPER_HANDOFF_MM[n]) for n in names)
     rows = ((label, *ours), (f"{label}, median", *median), ("published", *paper))
     return Table("Tip errors at handoff, mm", ("", *names), rows)
+
+
+def failure_line(result: dict[str, Any]) -> str:
+    """How many reaches failed, by class."""
+    shares = [
+        f"{name} {share:.1f} %" for name, share in result["failures_percent"].items() if share
+    ]
+    return f"failures at 20 mm and 3 s: {', '.join(shares) or 'none'}"

@@ -11,14 +11,13 @@ import numpy as np
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import PlanConfig, start_library
-from mjx_grasp.reaching.presets import Preset, for_sweep
+from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
 from mjx_grasp.robot.spec import RobotSpec
 
@@ -36,7 +35,7 @@ class SweepRun:
 
 def run_sweep(
     robot: RobotSpec,
-    settings: Preset,
+    settings: ReachPreset,
     count: int,
     seed: int,
     *,
@@ -56,10 +55,8 @@ def run_sweep(
         console: Where progress is shown; nowhere if None.
 
     Raises:
-        InputError: An impossible number, or a robot that the controller or its plan cannot use.
+        InputError: A robot that the controller or its plan cannot use.
     """
-    if chunk is not None and chunk < 1:
-        raise InputError("chunk", chunk, "a whole number from 1")
     poses = draw_poses(count, seed)
     settings = for_sweep(settings)
     body = robot_body(robot)

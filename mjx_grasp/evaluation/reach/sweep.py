@@ -15,7 +15,7 @@ from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Outcome, Plans, Reacher, ReachState, Tick
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
 from mjx_grasp.reaching.planning import Library, PlanConfig, Search, plan_reach
 
 TOLERANCES = (0.010, 0.015, 0.020, 0.030, 0.050)
@@ -24,82 +24,75 @@ BUDGETS = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0)
 """Of the fine-adjustment timer, [s]."""
 SLOW = 0.025
 """Speed below which a tip has arrived, [m/s]."""
-HANDOFF_MIDPOINT, HANDOFF_TIMEOUT, HANDOFF_LARGEST = 0.010, 3.0, 0.050
-"""Of the handoff that is recorded while the sweep goes on: midpoint error [m]; timer [s] after
-which a largest tip error [m] is enough."""
 _SEGMENT = 100
 
 
 class ReachRecord(NamedTuple):
-    """What is kept of each reach.
-
-    Attributes:
-        fine_time: ``[tolerances]`` least fine-adjustment timer when converged, [s]; inf if
-            it never was.
-        clock: ``[tolerances]`` time since the start then, [s].
-        near: Time since the start when the timer first ran, [s]; inf if it never did.
-        plans_left: Plans given up for another.
-        handoff_error: ``[3]`` tip frames to standoff targets at handoff, [m]; NaN without one.
-        handoff_contact: ``[3]`` tip frames to the contacts themselves, [m].
-        handoff_midpoint: Of midpoints, [m].
-        handoff_time: Since the start, [s].
-        start_distance: Of robot and object at the start, [m]; negative in contact.
-        been_clear: Whether they have been apart since.
-        object_distance: Least from when it was first clear, [m].
-        table_margin: Least height over what is asked for, [m].
-        finger_distance, arm_distance: Least of two fingers, and of the arm to itself, [m].
-        speed_ratio: Largest joint speed over its limit [-].
-        limit_excess: Farthest beyond a joint limit, [rad].
-        infeasible: Ticks without a solution.
-        ticks: Ticks until the end.
-        last_error: ``[3]`` tip errors at the end, [m].
-        last_object, last_table, last_finger: Distances at the end over what is asked for, [m].
-        q: ``[joints]`` at the end, [rad].
-        best_q: ``[joints]`` where the largest tip error was least, [rad].
-        best_error: That error, [m].
-    """
+    """What is kept of each reach."""
 
     fine_time: Float[Array, " tolerances"]
+    """by tolerance: least fine-adjustment timer when converged, inf if it never was [s]"""
     clock: Float[Array, " tolerances"]
+    """by tolerance: time since the start then [s]"""
     near: Float[Array, ""]
+    """time since the start when the timer first ran, inf if it never did [s]"""
     plans_left: Int[Array, ""]
+    """plans given up for another"""
     handoff_error: Float[Array, " 3"]
+    """tip frames to standoff targets at handoff, NaN without one [m]"""
     handoff_contact: Float[Array, " 3"]
+    """tip frames to the contacts themselves [m]"""
     handoff_midpoint: Float[Array, ""]
+    """of midpoints [m]"""
     handoff_time: Float[Array, ""]
+    """since the start [s]"""
     start_distance: Float[Array, ""]
+    """of robot and object at the start, negative in contact [m]"""
     been_clear: Bool[Array, ""]
+    """whether they have been apart since"""
     object_distance: Float[Array, ""]
+    """least from when it was first clear [m]"""
     table_margin: Float[Array, ""]
+    """least height over what is asked for [m]"""
     finger_distance: Float[Array, ""]
+    """least of two fingers [m]"""
     arm_distance: Float[Array, ""]
+    """least of the arm to itself [m]"""
     speed_ratio: Float[Array, ""]
+    """largest joint speed over its limit [-]"""
     limit_excess: Float[Array, ""]
+    """farthest beyond a joint limit [rad]"""
     infeasible: Int[Array, ""]
+    """ticks without a solution"""
     ticks: Int[Array, ""]
+    """ticks until the end"""
     last_error: Float[Array, " 3"]
+    """tip errors at the end [m]"""
     last_object: Float[Array, ""]
+    """of robot and object at the end, over what is asked for [m]"""
     last_table: Float[Array, ""]
+    """height above the table at the end, over what is asked for [m]"""
     last_finger: Float[Array, ""]
+    """of two fingers at the end, over what is asked for [m]"""
     q: Float[Array, " joints"]
+    """at the end [rad]"""
     best_q: Float[Array, " joints"]
+    """where the largest tip error was least [rad]"""
     best_error: Float[Array, ""]
+    """that error [m]"""
 
 
 class Problem(NamedTuple):
-    """One cylinder to reach for; world frame.
-
-    Attributes:
-        shape: The cylinder.
-        p_wo: ``[3]`` its centre, [m].
-        R_wo: ``[3, 3]`` its rotation.
-        plans: Ways to reach it, or None.
-    """
+    """One cylinder to reach for; world frame."""
 
     shape: Cylinder
+    """the cylinder"""
     p_wo: Float[Array, " 3"]
+    """its centre [m]"""
     R_wo: Float[Array, "3 3"]
+    """its rotation"""
     plans: Plans | None
+    """ways to reach it, or None"""
 
 
 def candidates_of(reacher: Reacher, shape: Cylinder) -> Candidates:
@@ -193,7 +186,7 @@ def sweep(
         for tick in range(0, longest, _SEGMENT):
             state = _gone_on(reacher, problem, state)
             progress(kept * min(_SEGMENT, longest - tick))
-            if np.all(np.asarray(state[0].outcome) != Outcome.RUNNING):
+            if np.all(np.asarray(state[0].outcome) != ReachOutcome.RUNNING):
                 progress(kept * max(longest - tick - _SEGMENT, 0))
                 break
         records.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], state[2]))
@@ -256,7 +249,7 @@ def _segment(reacher: Reacher, problem: Problem, carry):
 
     def step(carry, _):
         state, q, record = carry
-        running = state.outcome == Outcome.RUNNING
+        running = state.outcome == ReachOutcome.RUNNING
         after, tick = reacher.tick(
             state,
             q,
@@ -279,7 +272,7 @@ def recorded(
     reacher: Reacher,
     record: ReachRecord,
     state: ReachState,
-    tick: Tick,
+    tick: ReachTick,
     q: Float[Array, " joints"],
     q_after: Float[Array, " joints"],
 ) -> ReachRecord:
@@ -298,9 +291,7 @@ def recorded(
     tolerance = jnp.asarray(TOLERANCES)
     converged = (error <= tolerance) & (jnp.max(report.speed) < SLOW)
     first = converged & ~jnp.isfinite(record.clock)
-    ready = (report.midpoint < HANDOFF_MIDPOINT) & (error <= config.controller.handoff_tips)
-    late = (state.timer >= HANDOFF_TIMEOUT) & (error <= HANDOFF_LARGEST)
-    hands_off = tick.targets.valid & (ready | late) & ~jnp.isfinite(record.handoff_time)
+    hands_off = tick.ready & ~jnp.isfinite(record.handoff_time)
     contact = jnp.linalg.norm(tick.tips - tick.targets.position, axis=-1)
     clear = report.object_distance > 0
     first_tick = record.ticks == 0

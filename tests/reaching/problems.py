@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
-from mjx_grasp.evaluation.reach.sweep import Problem, candidates_of
+from mjx_grasp.evaluation.reach.sweep import candidates_of
 from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.reaching.command import programme
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.qp import QP, WarmStart, scales
@@ -36,18 +37,18 @@ def draw_problems(
     """
 
     def reach(shape, p_wo, R_wo, plans):
-        problem = Problem(shape, p_wo, R_wo, plans)
         candidates = candidates_of(reacher, shape)
         q = jnp.asarray(reacher.body.home)
         state = reacher.start(q, candidates, p_wo, R_wo, plans)
 
         def tick(carry, _):
             state, q = carry
-            after, done = reacher.tick(
-                state, q, problem.shape, candidates, p_wo, R_wo, jnp.zeros((0, 4)), plans
-            )
+            situation = shape, candidates, p_wo, R_wo, jnp.zeros((0, 4)), plans
+            aim = reacher.aim(state, q, *situation)
+            built = programme(reacher.body, reacher.config, q, aim.goals, aim.around, state.memory)
+            after, done = reacher.tick(state, q, *situation)
             q = q + reacher.config.controller.dt * done.velocity
-            return (after, q), (done.report.problem, state.memory.warm)
+            return (after, q), (built.problem, state.memory.warm)
 
         def stretch(carry, _):
             carry, _ = jax.lax.scan(tick, carry, length=stride - 1)

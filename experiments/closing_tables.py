@@ -1,0 +1,224 @@
+"""Tables of closing, for the READMEs: success and force, speed, training runs, start states.
+
+`make_readme.py` puts them in place.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stage_tables import NOTHING, read, short_revision
+
+from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.results import ThroughputRow, read_results
+from mjx_grasp.evaluation.tables import (
+    Column,
+    Condition,
+    Groups,
+    condition_table,
+    failure_table,
+    force_table,
+    paired_table,
+    read_groups,
+    throughput_table,
+)
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.records.table import Table
+
+EXPLANATION = (
+    "Success in %, with 95 % intervals in brackets. The intervals treat trials as independent, but "
+    "trials share start states: these are kept out of training, and each is used again with "
+    "another offset where there are fewer states than trials. Force is the net contact force per "
+    "finger from the onset of the lift. The last columns are quoted from "
+    f"{paper.CITATION}."
+)
+PAIRS = (
+    "Differences in percentage points, with 95 % bootstrap intervals over trials; then the number "
+    "of trials in which only one of the two lifted the object, and the probability of a split at "
+    "least this uneven if both were equally good. Trials from the same start state often end "
+    "alike, so the intervals are too narrow and the probabilities too small."
+)
+LAYERS = (
+    "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
+    "a CUDA graph), the same called from JAX, the task around it, the policy's actions and the "
+    "resets, PPO's updates. Then parts of one physics step, of which a tick has five, and the "
+    "speed of the whole loop as a share of MuJoCo Warp's:"
+)
+_STEP_PARTS = {
+    "step": "step",
+    "collision": "step/forward/fwd_position/collision",
+    "solver": "step/forward/solve",
+}
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def means(paths: Sequence[Path]) -> str:
+    """Success and force of every controller under the first condition, means over the objects."""
+    groups = read_groups(paths)
+    if not groups:
+        return NOTHING
+    condition, columns = next(iter(groups.items()))
+    rows = []
+    for column in columns:
+        force, _ = column.forces()
+        rows.append(
+            (column.label, f"{column.mean()[0]:.1f}", "" if force is None else f"{force:.1f}")
+        )
+    quoted = ""
+    if condition.objects == paper.OBJECTS.keys():
+        rows += [
+            ("publication: policy", f"{paper.MEAN.ours:.1f}", ""),
+            ("publication: squeeze 3 N", f"{paper.MEAN.squeeze:.1f}", ""),
+        ]
+        quoted = f" The last rows are quoted from {paper.CITATION}."
+    table = Table("Means", ("controller", "lifted and held %", "contact force N"), tuple(rows))
+    episodes = " or ".join(map(str, sorted({r.episodes for c in columns for r in c.rows.values()})))
+    objects = counted(len(condition.objects), "object")
+    return (
+        f"{objects} ({condition.meshes}), {episodes} trials each in "
+        f"{condition.short()}:\n\n{table.markdown()}\n\n"
+        "Means over the objects. ± is how far the object may be from where the controller believes "
+        f"it to be; the force is that of one finger on the object, averaged over the lift.{quoted}"
+    )
+
+
+def all_conditions(paths: Sequence[Path]) -> str:
+    """Every condition: means, pairs, and the tables per object, folded away."""
+    groups = read_groups(paths)
+    if not groups:
+        return NOTHING
+    parts = [EXPLANATION]
+    parts += ["### Means over the objects", *_means_by_engine(groups)]
+    if (pairs := paired_table(groups)).rows:
+        parts += [f"### {pairs.title}", pairs.markdown(), PAIRS]
+    parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
+    return "\n\n".join(parts)
+
+
+def _means_by_engine(groups: Groups) -> list[str]:
+    """A table per engine and set of objects: controllers against conditions."""
+    blocks: dict[str, dict[str, dict[str, str]]] = {}
+    for condition, columns in groups.items():
+        engine, _, errors = condition.short().partition(", ")
+        objects = counted(len(condition.objects), "object")
+        title = f"{engine}, {objects} ({condition.meshes})"
+        for column in columns:
+            (mean, (low, high)), (force, _) = column.mean(), column.forces()
+            cell = f"{mean:.1f} ({low:.0f}–{high:.0f})"
+            cell += "" if force is None else f", {force:.1f} N"
+            blocks.setdefault(title, {}).setdefault(column.label, {})[errors] = cell
+    parts = []
+    for title, lines in blocks.items():
+        conditions = tuple(dict.fromkeys(errors for line in lines.values() for errors in line))
+        rows = tuple((name, *(line.get(c, "") for c in conditions)) for name, line in lines.items())
+        parts += [f"{title}:", Table(title, ("controller", *conditions), rows).markdown()]
+    return parts
+
+
+def _folded(condition: Condition, columns: Sequence[Column]) -> str:
+    success = condition_table(condition, columns)
+    parts = [f"<details><summary>{success.title}</summary>", success.markdown()]
+    for table in (force_table(condition, columns), failure_table(condition, columns)):
+        parts += [f"{table.title.partition(':')[0]}:", table.markdown()]
+    return "\n\n".join([*parts, "</details>"])
+
+
+def throughput(paths: Sequence[Path]) -> str:
+    """Speed and memory, and where the time of a control tick goes."""
+    if not paths:
+        return NOTHING
+    files = [read_results(p, ThroughputRow) for p in paths]
+    parts = [throughput_table(files).markdown()]
+    for file in files:
+        apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
+        if apart:
+            parts += [LAYERS, _layers(apart).markdown()]
+    return "\n\n".join(parts)
+
+
+def _layers(details: Sequence[dict[str, Any]]) -> Table:
+    """Milliseconds per control tick of each loop, and of a physics step's parts."""
+    rows = []
+    for d in details:
+        tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
+        loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
+        parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
+        times = (f"{ms:.2f}" for ms in (*loops, *parts))
+        rows.append((f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
+    header = ("worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO", *_STEP_PARTS)
+    return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
+
+
+def runs(paths: Sequence[Path]) -> str:
+    """One line per training run."""
+    rows = [r for path in paths for r in json.loads(path.read_text())["rows"]]
+    if not rows:
+        return NOTHING
+    lines = tuple(
+        (
+            r["run"],
+            str(r["provenance"]["device"]),
+            f"{r['worlds']:,} × {r['unroll']}",
+            r["residual"],
+            "privileged" if r["privileged_critic"] else "66 observations",
+            " ".join(r["objects"]),
+            str(r["seed"]),
+            f"{r['env_steps'] / 1e6:.1f}",
+            f"{r['seconds_with_compilation']:.0f}",
+            f"{r['steps_per_s']:,.0f}",
+            f"{r['training_success_percent']:.1f}",
+            f"{r['training_force_n']:.1f}",
+            short_revision(r["provenance"]),
+        )
+        for r in rows
+    )
+    header = (
+        *("run", "device", "worlds × unroll", "residual", "critic sees", "objects", "seed"),
+        *("M steps", "s", "steps/s", "success %", "force N", "git"),
+    )
+    return Table("Training runs", header, lines, names=6).markdown()
+
+
+def shipped_policy(path: Path) -> str:
+    """The command behind the policy in assets."""
+    if not path.exists():
+        return NOTHING
+    meta = load_policy(path).meta
+    made = meta["provenance"]
+    return (
+        f"`assets/policy.npz` has seen {meta['env_steps'] / 1e6:.1f} M steps on "
+        f"{len(meta['objects'])} objects; made on {made['device']} at {short_revision(made)} by\n\n"
+        f"```sh\n{made['command']}\n```"
+    )
+
+
+def shipped_handoffs(folder: Path) -> str:
+    """What the shipped sets of start states hold, and every command that made them."""
+    parts = []
+    for name in ("scans", "standins"):
+        d = read(folder / f"handoffs_{name}.json")
+        if d is None:
+            continue
+        have = [row for row in d["objects"] if row["eligible"]]
+        without = ", ".join(name.replace("_", " ") for name in d["not_eligible"])
+        steps = [*d.get("earlier", ()), d["provenance"]]
+        parts += [
+            f"`assets/handoffs_{name}.npz`: {sum(row['kept'] for row in have):,} states of "
+            f"{counted(len(have), 'object')}"
+            + (f"; no pre-grasp was found for {without}" if without else "")
+            + f". Made in {counted(len(steps), 'step')}:",
+            "\n".join(
+                f"{k}. `{made['command']}` at {short_revision(made)} on {made['device']}, "
+                f"JAX {made['versions']['jax']}"
+                for k, made in enumerate(steps, start=1)
+            ),
+        ]
+    return "\n\n".join(parts) if parts else NOTHING

@@ -1,0 +1,101 @@
+"""Heatmaps of a user's own meshes: what every command on them is asked for, and the heatmap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+import tyro
+from jaxtyping import Float
+
+from mjx_grasp.geometry.mesh import principal_frame
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
+from mjx_grasp.heatmap.nearness import steer_to
+from mjx_grasp.objects.meshes import read_mesh
+from mjx_grasp.objects.refine import refined
+from mjx_grasp.records.settings import CommandSettings, Finite, NonNegative, Positive, Several
+from mjx_grasp.robot.spec import load_robot
+
+Point = Annotated[tuple[Finite, Finite, Finite], tyro.conf.arg(metavar="X Y Z")]
+Span = Annotated[
+    tuple[Positive, Positive],
+    Several(ascending=True, strictly=True),
+    tyro.conf.arg(metavar="MIN MAX"),
+]
+
+
+@dataclass(frozen=True)
+class MeshConfig(CommandSettings):
+    """A mesh in metres, the hand that is to grasp it, and where."""
+
+    mesh: tyro.conf.Positional[Path]
+    """a mesh (.obj, .ply, .stl, .glb, .off; metres)"""
+    anchor: Point | None = None
+    """point that grasps are steered to, in the frame of the mesh; none without one [m]"""
+    sigma: Positive = 0.030
+    """how near to the anchor a grasp's axis should pass [m]"""
+    robot: str = "rizon4_hx5d20"
+    """name or description file of the robot whose hand grasps"""
+    span: Span | None = None
+    """narrowest and widest grasp; the hand's by default [m]"""
+    friction: Positive | None = None
+    """scoring friction; the hand's by default [-]"""
+    edge: NonNegative = 0.010
+    """longest edge: candidates are vertices, so coarse meshes are refined to it; 0 keeps the mesh
+    as it is [m]"""
+
+    def grip(self) -> tuple[tuple[float, float], float]:
+        """Span [m] and scoring friction [-], as asked for or of the robot's hand."""
+        if self.span is not None and self.friction is not None:
+            return self.span, self.friction
+        hand = load_robot(self.robot).hand
+        return self.span or hand.span, self.friction or hand.scoring_friction
+
+    def read(self, path: Path) -> trimesh.Trimesh:
+        """A mesh of a file, with edges no longer than asked for.
+
+        Raises:
+            FileError: It cannot be used.
+        """
+        return refined(read_mesh(path)[0], self.edge)
+
+
+def heatmap_of_mesh(
+    name: str,
+    mesh: trimesh.Trimesh,
+    grip: tuple[tuple[float, float], float],
+    config: HeatmapConfig | None = None,
+) -> StoredHeatmap:
+    """The heatmap of a mesh at uniform density, as it is kept in files.
+
+    Args:
+        name: Of the mesh.
+        mesh: In [m].
+        grip: Span [m] and scoring friction [-] of the hand.
+        config: Settings of the heatmap; the defaults if None.
+    """
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    heatmap = jax.tree.map(np.asarray, compute_heatmap(vertices, faces, None, *grip, config))
+    com = _point(principal_frame(vertices, faces).centre)
+    return StoredHeatmap(heatmap, faces, HeatmapInfo(name, *grip, com))
+
+
+def steered(
+    stored: StoredHeatmap, anchor: Float[np.ndarray, " 3"], sigma: float, between_contacts: bool
+) -> StoredHeatmap:
+    """A heatmap with its scores steered to an anchor; see `steer_to`."""
+    score: Any = np.asarray(steer_to(stored.heatmap, jnp.asarray(anchor), sigma, between_contacts))
+    info = replace(stored.info, anchor=_point(anchor), sigma=sigma)
+    return replace(stored, heatmap=stored.heatmap._replace(score=score), info=info)
+
+
+def _point(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,191 @@
+"""The heatmaps of a mesh or of a folder of meshes: files of each, and what sums them up."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import jax
+import numpy as np
+import trimesh
+from rich.console import Console
+
+from mjx_grasp.cli import counting_progress
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.heatmap import HeatmapConfig
+from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
+from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
+from mjx_grasp.heatmap.sampling import best_triple, sample_triples
+from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
+from mjx_grasp.language.grounding import target_of
+from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.objects.folder import MeshFile, catalogue_entry, find_meshes
+from mjx_grasp.records.atomic import check_new_folder
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import NonNegative, Range, Seed, to_record
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.heatmap import subject_of
+
+_FARTHEST = 1.0  # an anchor farther from the mesh than its diagonal, times this, is a mistake
+
+
+@dataclass(frozen=True)
+class HeatmapsConfig(MeshConfig):
+    """What to compute, of a mesh or a folder of meshes; results are in each mesh's own frame."""
+
+    out: Path = Path("heatmaps")
+    """folder of the results"""
+    instruction: str | None = None
+    """steers to a named place, such as "by the handle": a side (top, bottom, left, right, front,
+    back, middle) or, for a scan of the catalogue, one of its parts"""
+    between_contacts: bool = False
+    """steers to grasps whose contacts have the anchor between them, not only in line with it (an
+    addition to the publication's method)"""
+    triples: Annotated[int, Range(1, 10_000)] = 5
+    """how many grasp triples to write per mesh [-]"""
+    temperature: NonNegative = 0.0
+    """0 takes the best triples, more draws them with probability exp(score/temperature) [-]"""
+    min_distance: NonNegative = 0.02
+    """how far apart triples must be [m]"""
+    seed: Seed = 0
+    """of the draw"""
+    heatmap: HeatmapConfig = field(default_factory=HeatmapConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.anchor is not None and self.instruction is not None:
+            both = (self.anchor, self.instruction)
+            raise InputError("--anchor and --instruction", both, "one of them at most")
+        if self.between_contacts and not self.steers:
+            raise InputError("--between-contacts", True, "an --anchor or an --instruction with it")
+
+    @property
+    def steers(self) -> bool:
+        """Whether scores are steered to a place."""
+        return self.anchor is not None or self.instruction is not None
+
+
+class _Job(NamedTuple):
+    file: MeshFile
+    mesh: trimesh.Trimesh
+    anchor: np.ndarray | None
+    source: str
+
+
+def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> list[Row]:
+    """Computes, writes and sums up the heatmaps of a configuration.
+
+    A mesh of a folder that cannot be used is a row with an error, and the others are done.
+
+    Args:
+        config: Settings.
+        console: Where progress is shown; nowhere if None.
+
+    Raises:
+        FileError: There are no meshes, or the only one cannot be used.
+        InputError: The anchor or the instruction does not fit the only mesh.
+    """
+    files = find_meshes(config.mesh)
+    if config.out.exists() and not config.out.is_dir():
+        raise FileError(config.out, "a file", "a folder, or a name for a new one")
+    check_new_folder("--out", config.out)
+    grip = config.grip()
+    rows: dict[str, Row] = {}
+    cells = []
+    with counting_progress(console) as progress:
+        jobs = []
+        for file in progress.track(files, description="reading meshes"):
+            try:
+                jobs.append(_prepare(file, config))
+            except MjxGraspError as error:
+                if len(files) == 1:
+                    raise
+                rows[file.name] = Row(file.name, file.path.name, error=str(error))
+        work = sum(len(job.mesh.vertices) for job in jobs)
+        bar = progress.add_task("heatmaps", total=work)
+        for job in jobs:
+            progress.update(bar, description=f"heatmap of {job.file.name}")
+            rows[job.file.name], cell = _make_one(job, config, grip)
+            cells.append(cell)
+            progress.advance(bar, len(job.mesh.vertices))
+        if cells:
+            bar = progress.add_task("contact sheet", total=len(cells))
+            titles = _title(config), _subtitle(config, *grip)
+            sheet = contact_sheet(cells, *titles, done=lambda: progress.advance(bar))
+            write_png(config.out / "contact_sheet.png", sheet)
+    ordered = [rows[file.name] for file in files]
+    settings = to_record(config) | {"span": grip[0], "friction": grip[1]}
+    write_summary(config.out, ordered, settings, provenance(config.seed))
+    return ordered
+
+
+def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:
+    """Reads a mesh and finds its anchor: everything that can fail, before anything long."""
+    mesh = config.read(file.path)
+    if config.instruction is not None:
+        target = target_of(file.name, mesh, catalogue_entry(file.name))
+        found = PartGrounder().ground(config.instruction, target)
+        return _Job(file, mesh, found.point, found.source)
+    if config.anchor is None:
+        return _Job(file, mesh, None, "")
+    anchor = np.array(config.anchor)
+    outside = np.maximum(mesh.bounds[0] - anchor, anchor - mesh.bounds[1]).clip(0.0)
+    if np.linalg.norm(outside) > _FARTHEST * np.linalg.norm(mesh.extents):
+        low, high = (np.round(b, 3).tolist() for b in mesh.bounds)
+        expected = f"a point [m] near {file.path.name}, which lies within {low} to {high}"
+        raise InputError("--anchor", config.anchor, expected)
+    return _Job(file, mesh, anchor, "anchor")
+
+
+def _make_one(
+    job: _Job, config: HeatmapsConfig, grip: tuple[tuple[float, float], float]
+) -> tuple[Row, Cell]:
+    start = time.perf_counter()
+    name = job.file.name
+    stored = heatmap_of_mesh(name, job.mesh, grip, config.heatmap)
+    if job.anchor is not None:
+        stored = steered(stored, job.anchor, config.sigma, config.between_contacts)
+    seconds = time.perf_counter() - start
+    _write(stored, config)
+    heatmap, faces = stored.heatmap, stored.faces
+    row = Row(
+        name=name,
+        file=job.file.path.name,
+        vertices=len(heatmap.vertices),
+        faces=len(faces),
+        best_score=float(heatmap.score.max()),
+        share_above_0_3=float(np.mean(heatmap.score > GOOD)),
+        seconds=seconds,
+    )
+    note = ", ".join(filter(None, (f"best {row.best_score:.2f}", job.source)))
+    subject = subject_of(heatmap, faces, triple=best_triple(heatmap), anchor=job.anchor)
+    return row, Cell(name, note, subject)
+
+
+def _write(stored: StoredHeatmap, config: HeatmapsConfig) -> None:
+    """Everything about one mesh: all numbers, a coloured mesh, the best triples."""
+    name = stored.info.name
+    save_heatmap(config.out / f"{name}.npz", stored.heatmap, stored.faces, stored.info)
+    write_ply(config.out / f"{name}.ply", stored.heatmap, stored.faces)
+    drawn = sample_triples(
+        jax.random.key(config.seed),
+        stored.heatmap,
+        config.triples,
+        temperature=config.temperature,
+        min_distance=config.min_distance,
+    )
+    write_triples(config.out / f"{name}.triples.json", drawn, stored.info)
+
+
+def _title(config: HeatmapsConfig) -> str:
+    place = "" if config.instruction is None else f", “{config.instruction}”"
+    return f"Grasp-affordance heatmaps{place}"
+
+
+def _subtitle(config: HeatmapsConfig, span: tuple[float, float], friction: float) -> str:
+    text = f"hand span {1e3 * span[0]:g} to {1e3 * span[1]:g} mm, friction {friction:g}"
+    if config.anchor is not None:
+        text += f", anchor {', '.join(f'{1e3 * x:g}' for x in config.anchor)} mm"
+    return text + (f", sigma {1e3 * config.sigma:g} mm" if config.steers else "")

@@ -9,7 +9,7 @@ ARGS ?=
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed-$(subst $(comma),-,$(EXTRAS))
-SOURCES := mjx_grasp tests experiments benchmarks
+SOURCES := mjx_grasp tests experiments benchmarks examples
 
 .PHONY: help setup train test test-long lint format readme revision clean
 .DEFAULT_GOAL := help

@@ -1,12 +1,14 @@
 """From a mesh of your own to three points that a hand can go for.
 
-    python examples/own_mesh.py [MESH]      a file that trimesh reads, in metres; a bottle without one
+    python examples/own_mesh.py [MESH]
 
-Heatmap once, then anchor -> scores -> candidates -> selection -> targets in one compiled call.
+MESH is any file that trimesh reads, in metres; without one it is a bottle made here. The heatmap is
+computed once; then anchor, scores, candidates, selection and targets are one compiled call.
 """
 
 import sys
 import time
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ import mjx_grasp
 def bottle() -> trimesh.Trimesh:
     """A bottle 20 cm high, standing on z = 0."""
     outline = [[0, 0], [0.03, 0], [0.03, 0.12], [0.012, 0.15], [0.012, 0.2], [0, 0.2]]
-    rings = np.concatenate([np.linspace(a, b, 12, endpoint=False) for a, b in zip(outline, outline[1:])])
+    rings = np.concatenate([np.linspace(a, b, 12, endpoint=False) for a, b in pairwise(outline)])
     return trimesh.creation.revolve(np.vstack([rings, outline[-1]]), sections=48)
 
 
@@ -28,7 +30,10 @@ def main(arguments: list[str]) -> None:
     mesh = trimesh.load_mesh(arguments[0]) if arguments else bottle()
     robot = mjx_grasp.load_robot()
     heatmap = mjx_grasp.compute_heatmap(
-        mesh.vertices, mesh.faces, None, span=robot.hand.span,
+        mesh.vertices,
+        mesh.faces,
+        None,
+        span=robot.hand.span,
         scoring_friction=robot.hand.scoring_friction,
     )
     print(f"{int(heatmap.valid.sum())} of {len(mesh.vertices)} vertices have a candidate")
@@ -60,8 +65,8 @@ def main(arguments: list[str]) -> None:
             print(f"{part}: no candidate that this hand can take")
             continue
         print(f"{part}, in {took:.1f} ms:")
-        for finger, position in zip(("thumb", "index", "middle"), targets.position):
-            print(f"  {finger:6} at {np.round(1e3 * np.asarray(position - where), 1)} mm on the object")
+        for finger, point in zip(robot.hand.fingers, targets.position - where, strict=True):
+            print(f"  {finger.name:6} at {np.round(1e3 * np.asarray(point), 1)} mm on the object")
 
 
 if __name__ == "__main__":

@@ -46,9 +46,9 @@ from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.reaching import (
     Outcome,
+    Planner,
     Reacher,
     Surroundings,
-    plan_reach,
     preset,
     robot_body,
     start_library,
@@ -196,6 +196,7 @@ def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses
     selection = replace(settings.selection, min_score=_LEAST_SCORE)
     reacher = Reacher(body, settings.reach, selection)
     library = start_library(body, settings.plan)
+    planner = Planner(reacher, settings.plan)
     dt = settings.reach.controller.dt
 
     @jax.jit
@@ -203,10 +204,7 @@ def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses
         def one(situation) -> Reaches:
             p, R, key = situation
             around, q = Surroundings.still(field, p, R), jnp.asarray(body.home)
-            plans = plan_reach(
-                body, settings.reach, selection, settings.plan, library, candidates,
-                around, q, key,
-            ).plans  # fmt: skip
+            plans = planner.search(library, candidates, around, q, key).plans
 
             def tick(carry, _):
                 state, q = carry

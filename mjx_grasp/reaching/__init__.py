@@ -4,12 +4,13 @@ from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
-from mjx_grasp.reaching.planning import PlanConfig, plan_again, plan_reach, start_library
+from mjx_grasp.reaching.planning import PlanConfig, Planner, plan_again, start_library
 from mjx_grasp.reaching.presets import ReachPreset, preset
 
 __all__ = [
     "ReachOutcome",
     "PlanConfig",
+    "Planner",
     "Plans",
     "ReachPreset",
     "Body",
@@ -19,7 +20,6 @@ __all__ = [
     "Surroundings",
     "ReachTick",
     "plan_again",
-    "plan_reach",
     "preset",
     "robot_body",
     "start_library",

@@ -24,7 +24,6 @@ from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
@@ -60,22 +59,19 @@ class PlanConfig(Settings):
 
 
 class Search(NamedTuple):
-    """What a search found.
-
-    Attributes:
-        plans: The best first; of those that are not ``guide.known`` no attempt succeeded.
-        cost: ``[p]`` time to get there and what is lacking, [s]; the less the better.
-        least_error: Over all clear solutions, the least of their largest tip errors, [m]; +inf if
-            all penetrate something.
-        least_penetration: Over all solutions within 20 mm, the least penetration, [m].
-        at_limit: Whether the best attempt has a joint at its limit.
-    """
+    """What a search found."""
 
     plans: Plans
+    """the best first; of those that are not ``guide.known`` no attempt succeeded"""
     cost: Float[Array, " p"]
+    """time to get there and what is lacking; the less the better [s]"""
     least_error: Float[Array, ""]
+    """of all clear solutions, the least of their largest tip errors; +inf if all penetrate
+    something [m]"""
     least_penetration: Float[Array, ""]
+    """of all solutions within 20 mm [m]"""
     at_limit: Bool[Array, ""]
+    """whether the best attempt has a joint at its limit"""
 
 
 def start_library(body: Body, config: PlanConfig) -> Library:
@@ -106,33 +102,139 @@ def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConf
     return _Ways(options, Options(TipGoals(goals, pads), high & scores))
 
 
-def plan_reach(
-    body: Body,
-    config: ReachConfig,
-    selection: SelectionConfig,
-    plan: PlanConfig,
-    library: Library,
-    candidates: Candidates,
-    around: Surroundings,
-    q: Float[Array, " joints"],
-    key: Array,
-) -> Search:
-    """Looks for a candidate and a posture to reach it, near the present configuration.
+@jax.tree_util.register_static
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """Looks for ways that a reaching controller can go; static under jit."""
 
-    Args:
-        body: The robot.
-        config: Settings of reaching.
-        selection: Rejections of candidates.
-        plan: How hard to look.
-        library: From :func:`start_library`.
-        candidates: Of the object.
-        around: Object and obstacles.
-        q: Present configuration, [rad].
-        key: Chooses among the library's entries around the object.
-    """
-    # No accelerator shall round products of small matrices to TF32.
-    with jax.default_matmul_precision("highest"):
-        return _plan(body, config, selection, plan, library, candidates, around, q, key)
+    reacher: Reacher
+    config: PlanConfig
+
+    def search(
+        self,
+        library: Library,
+        candidates: Candidates,
+        around: Surroundings,
+        q: Float[Array, " joints"],
+        key: Array,
+    ) -> Search:
+        """Looks for a candidate and a posture to reach it, near the present configuration.
+
+        Args:
+            library: From :func:`start_library`.
+            candidates: Of the object.
+            around: Object and obstacles.
+            q: Present configuration, [rad].
+            key: Chooses among the library's entries around the object.
+        """
+        # No accelerator shall round products of small matrices to TF32.
+        with jax.default_matmul_precision("highest"):
+            return self._search(library, candidates, around, q, key)
+
+    def _search(
+        self,
+        library: Library,
+        candidates: Candidates,
+        around: Surroundings,
+        q: Float[Array, " joints"],
+        key: Array,
+    ) -> Search:
+        plan, body = self.config, self.reacher.body
+        ways = _ways(candidates, around, self.reacher.selection)
+        goals, allowed = ways.options
+        starts = choose_starts(body, library, plan.starts, ways.options, around, q, key)
+        option, home = starts.option, jnp.asarray(body.home)
+
+        def attempt(option: Int[Array, ""], start: Float[Array, " joints"]) -> IkSolution:
+            wanted = jax.tree.map(lambda leaf: leaf[option], goals)
+            return solve_ik(body, plan.ik, self._clearances, wanted, around, start, home)
+
+        found = jax.vmap(attempt)(option, starts.q)
+        cost = self._costs(allowed[option], found, q)
+        kept = self._different(found.q, cost)
+
+        def planned(k: Int[Array, ""]) -> Guide:
+            wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)
+            return self._guide(wanted, found.q[k], around, cost[k] < _FAILED)
+
+        pick = option[kept]
+        plans = Plans(
+            candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
+            reach=jax.nn.one_hot(jnp.asarray(ways.targets.axis)[pick], 3),
+            spread=ways.targets.spread[pick],
+            guide=jax.vmap(planned)(kept),
+        )
+        error = jnp.max(found.error, axis=1)
+        clear, close = allowed[option] & (found.penetration <= 0), allowed[option] & (error <= 0.02)
+        return Search(
+            plans=plans,
+            cost=cost[kept],
+            least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
+            least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
+            at_limit=found.at_limit[kept[0]],
+        )
+
+    @property
+    def _clearances(self) -> ClearanceConfig:
+        """Those that the controller keeps: where it can come to rest."""
+        limits = self.reacher.config.limits
+        return limits.clearances.wider(limits.margin)
+
+    def _guide(
+        self,
+        wanted: TipGoals,
+        q: Float[Array, " joints"],
+        around: Surroundings,
+        known: Bool[Array, ""],
+    ) -> Guide:
+        """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
+        body, goals = self.reacher.body, wanted.tips
+        motion = body.kinematics.motion(q)
+        middle = midpoint(goals)
+        axis = 0.5 * (goals[1] + goals[2]) - goals[0]
+        normal = unit(jnp.cross(axis, goals[1] - goals[2]))
+        # The palm's frame is at its root; the hand's extent is between it and the tips.
+        outwards = motion.pos[PALM] - middle
+        retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
+        shifted = TipGoals(goals + self.reacher.config.guide.length * retreat, wanted.pads)
+        retreated = solve_ik(body, self.config.ik, self._clearances, shifted, around, q, q)
+        outside = body.kinematics.motion(retreated.q)
+        R = around.R_wo
+        pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
+        return Guide(
+            known=known,
+            q=jnp.stack([q, retreated.q]),
+            palm_pos=(pos - around.p_wo) @ R,
+            palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
+            tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
+        )
+
+    def _costs(
+        self, admissible: Bool[Array, " n"], found: IkSolution, q: Float[Array, " joints"]
+    ) -> Float[Array, " n"]:
+        """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
+        time = jnp.max(jnp.abs(found.q - q) / self.reacher.body.velocity_limit, axis=1)
+        error = jnp.max(found.error, axis=1)
+        lacking = jnp.maximum(jnp.maximum(error - self.config.tolerance, found.missing), 0.0)
+        return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
+
+    def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
+        """The cheapest attempts of which no two put the palm in the same place."""
+
+        def palm(q: Float[Array, " joints"]) -> tuple[Float[Array, " 3"], Float[Array, "3 3"]]:
+            motion = self.reacher.body.kinematics.motion(q)
+            return motion.pos[PALM], motion.mat[PALM]
+
+        plan, (pos, mat) = self.config, jax.vmap(palm)(q)
+        kept = []
+        for _ in range(plan.kept):
+            best = jnp.argmin(cost)
+            kept.append(best)
+            turn = norm(so3.log(jnp.einsum("nij,kj->nik", mat, mat[best])))
+            near = norm(pos - pos[best]) + plan.lever * turn < plan.differs
+            # Those in the same place come after all others.
+            cost = jnp.where(near, cost + _FAILED, cost)
+        return jnp.stack(kept)
 
 
 def plan_again(
@@ -154,107 +256,14 @@ def plan_again(
         *situation: What ``search`` wants to know, stacked.
     """
 
-    def renewed():
+    def renewed() -> tuple[ReachState, Plans]:
         found = jax.vmap(search)(*situation)
         adopted = jax.vmap(reacher.adopt)(state, found)
 
-        def chosen(new, old):
+        def chosen(new: Array, old: Array) -> Array:
             stale = state.stale.reshape(-1, *[1] * (new.ndim - 1))
             return jnp.where(stale, new, old)
 
         return jax.tree.map(chosen, (adopted, found), (state, plans))
 
     return jax.lax.cond(jnp.any(state.stale), renewed, lambda: (state, plans))
-
-
-def _plan(body, config, selection, plan, library, candidates, around, q, key) -> Search:
-    ways = _ways(candidates, around, selection)
-    goals, allowed = ways.options
-    clearances = _clearances(config)
-    starts = choose_starts(body, library, plan.starts, ways.options, around, q, key)
-    option, home = starts.option, jnp.asarray(body.home)
-
-    def attempt(option, start):
-        wanted = jax.tree.map(lambda leaf: leaf[option], goals)
-        return solve_ik(body, plan.ik, clearances, wanted, around, start, home)
-
-    found: IkSolution = jax.vmap(attempt)(option, starts.q)
-    cost = _costs(body, plan, allowed[option], found, q)
-    kept = _different(body, plan, found.q, cost)
-
-    def planned(k):
-        known = cost[k] < _FAILED
-        return _guide(body, config, plan, ways, option[k], found.q[k], around, known)
-
-    pick = option[kept]
-    plans = Plans(
-        candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
-        reach=jax.nn.one_hot(jnp.asarray(ways.targets.axis)[pick], 3),
-        spread=ways.targets.spread[pick],
-        guide=jax.vmap(planned)(kept),
-    )
-    error = jnp.max(found.error, axis=1)
-    clear, close = allowed[option] & (found.penetration <= 0), allowed[option] & (error <= 0.02)
-    return Search(
-        plans=plans,
-        cost=cost[kept],
-        least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
-        least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
-        at_limit=found.at_limit[kept[0]],
-    )
-
-
-def _clearances(config: ReachConfig) -> ClearanceConfig:
-    """Those that the controller keeps: where it can come to rest."""
-    return config.limits.clearances.wider(config.limits.margin)
-
-
-def _guide(body, config, plan, ways, option, q, around, known) -> Guide:
-    """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
-    goals, pads = (leaf[option] for leaf in ways.options.goals)
-    motion = body.kinematics.motion(q)
-    middle = midpoint(goals)
-    axis = 0.5 * (goals[1] + goals[2]) - goals[0]
-    normal = unit(jnp.cross(axis, goals[1] - goals[2]))
-    # The palm's frame is at its root; the hand's extent is between it and the tips.
-    outwards = motion.pos[PALM] - middle
-    retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
-    shifted = TipGoals(goals + config.guide.length * retreat, pads)
-    retreated = solve_ik(body, plan.ik, _clearances(config), shifted, around, q, q)
-    outside = body.kinematics.motion(retreated.q)
-    R = around.R_wo
-    pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
-    return Guide(
-        known=known,
-        q=jnp.stack([q, retreated.q]),
-        palm_pos=(pos - around.p_wo) @ R,
-        palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
-        tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
-    )
-
-
-def _costs(body, plan, admissible, found: IkSolution, q) -> Float[Array, " n"]:
-    """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
-    time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
-    error = jnp.max(found.error, axis=1)
-    lacking = jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
-    return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
-
-
-def _different(body, plan, q, cost) -> Int[Array, " p"]:
-    """The cheapest attempts of which no two put the palm in the same place."""
-
-    def palm(q):
-        motion = body.kinematics.motion(q)
-        return motion.pos[PALM], motion.mat[PALM]
-
-    pos, mat = jax.vmap(palm)(q)
-    kept = []
-    for _ in range(plan.kept):
-        best = jnp.argmin(cost)
-        kept.append(best)
-        turn = norm(so3.log(jnp.einsum("nij,kj->nik", mat, mat[best])))
-        near = norm(pos - pos[best]) + plan.lever * turn < plan.differs
-        # Those in the same place come after all others.
-        cost = jnp.where(near, cost + _FAILED, cost)
-    return jnp.stack(kept)

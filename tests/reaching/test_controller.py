@@ -19,7 +19,7 @@ from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome, is_ready
-from mjx_grasp.reaching.planning import plan_reach, start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, preset
 from mjx_grasp.robot.spec import load_robot
 
@@ -209,9 +209,7 @@ def test_a_mesh_is_reached_for_by_its_distance_grid(body):
     centre = jnp.asarray([0.5, -0.15, -float(mesh.bounds[0, 2])])
     situation = candidates, Surroundings.still(field, centre, UPRIGHT), jnp.asarray(body.home)
     library, key = start_library(body, plan), jax.random.key(plan.seed)
-    found = jax.jit(partial(plan_reach, body, reacher.config, reacher.selection, plan))(
-        library, *situation, key
-    )
+    found = jax.jit(Planner(reacher, plan).search)(library, *situation, key)
     run = _reach(reacher, centre, 500, field, candidates, found.plans)
     assert run["error"][-1].max() < 0.020
     clearance = reacher.config.limits.clearances.object

@@ -13,7 +13,7 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
-from mjx_grasp.reaching.planning import plan_again, plan_reach, start_library
+from mjx_grasp.reaching.planning import Planner, plan_again, start_library
 from mjx_grasp.reaching.presets import preset
 
 # Long runs compute as much as they compile: a little more of XLA's work than in the other tests.
@@ -85,22 +85,12 @@ def _run(name, body):
     plans, search = None, None
     if settings.plan:
         plan = replace(settings.plan, library=20_000)
-        library = start_library(body, plan)
+        library, planner = start_library(body, plan), Planner(reacher, plan)
 
         @jax.jit  # traced once, for the shapes and for the ticks
         def search(shape, p, R, q):
             around, key = Surroundings.still(shape, p, R), jax.random.key(0)
-            return plan_reach(
-                body,
-                config,
-                settings.selection,
-                plan,
-                library,
-                candidates_of(shape),
-                around,
-                q,
-                key,
-            ).plans
+            return planner.search(library, candidates_of(shape), around, q, key).plans
 
         # None to begin with: the first tick makes them.
         at_home = jnp.tile(home, (len(scenario), 1))

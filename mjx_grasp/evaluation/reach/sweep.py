@@ -16,7 +16,7 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
-from mjx_grasp.reaching.planning import Library, PlanConfig, Search, plan_reach
+from mjx_grasp.reaching.planning import Library, PlanConfig, Planner, Search
 
 TOLERANCES = (0.010, 0.015, 0.020, 0.030, 0.050)
 """Of the table, [m]."""
@@ -134,17 +134,9 @@ def plan_all(
 @partial(jax.jit, static_argnames=("reacher", "plan"))
 def _plans(reacher, plan, library, shape, p_wo, R_wo, key) -> Search:
     def one(shape, p_wo, R_wo, key):
-        return plan_reach(
-            reacher.body,
-            reacher.config,
-            reacher.selection,
-            plan,
-            library,
-            candidates_of(reacher, shape),
-            Surroundings.still(shape, p_wo, R_wo),
-            jnp.asarray(reacher.body.home),
-            key,
-        )
+        around, home = Surroundings.still(shape, p_wo, R_wo), jnp.asarray(reacher.body.home)
+        candidates = candidates_of(reacher, shape)
+        return Planner(reacher, plan).search(library, candidates, around, home, key)
 
     return jax.vmap(one)(shape, p_wo, R_wo, key)
 

@@ -31,6 +31,8 @@ CHECKED = (
     "mjx_grasp.evaluation.trials",
     "mjx_grasp.geometry.linear",
     "mjx_grasp.learning.brax_env",
+    *(f"mjx_grasp.grasp.{name}" for name in ("candidates", "select", "targets")),
+    *(f"mjx_grasp.reaching.{n}" for n in ("command", "controller", "fields", "guide", "qp")),
     "mjx_grasp.learning.policy",
     "mjx_grasp.robot.interface",
     *(f"mjx_grasp.posture.{name}" for name in ("body", "clearances", "cover", "draw", "ik")),

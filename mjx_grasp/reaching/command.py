@@ -147,7 +147,7 @@ def scaled_back(
     still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
 
     # Distances are not linear in the joints: what is left of the command has to show that it holds.
-    def shortened(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def shortened(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         x = state[0]
         moved, safe = after(x)
         least = jnp.minimum(still, safe + _ROOM * limits.margin)

@@ -106,7 +106,7 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     K_inverse = inverse_spd(K)
     start = -K_inverse @ (q * scale)
 
-    def iterate(_: int, state: tuple[Array, ...]) -> tuple[Array, ...]:
+    def iterate(_: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
         box, rows, box_dual, rows_dual = state
         rhs = rho_b * (box - box_dual) + rho_r * ((rows - rows_dual) @ A_s)
         y = start + K_inverse @ rhs

@@ -38,9 +38,8 @@ from mjx_grasp.heatmap import (
     steer_many,
 )
 from mjx_grasp.heatmap.backends import backend_for
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import replacing, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
@@ -158,21 +157,9 @@ def peak_memory(faces: int) -> float:
     return 1024.0 * float(done.stdout.split()[-1])
 
 
-def meshes_of(config: BenchmarkConfig) -> dict[str, trimesh.Trimesh]:
-    meshes = {}
-    for name in resolve(config.objects):
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            meshes[name] = stand_in(info.scan_of, info.scale)
-        else:
-            scan = find_scan(config.objects_dir, info.scan_names)
-            meshes[name] = centred(read_mesh(scan)[0], info.scale)
-    return meshes
-
-
 def measure(config: BenchmarkConfig) -> dict[str, Any]:
     hand = load_robot().hand
-    meshes = meshes_of(config)
+    meshes = {name: object_mesh(name, config.objects_dir) for name in resolve(config.objects)}
     arrays = {n: (np.asarray(m.vertices), np.asarray(m.faces)) for n, m in meshes.items()}
     console = Console(stderr=True)
 

@@ -20,9 +20,8 @@ import tyro
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmaps
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
@@ -48,14 +47,7 @@ class RankingConfig:
 def main(config: RankingConfig) -> None:
     """Ranks, and writes the file."""
     names = resolve(config.objects)
-    meshes = []
-    for name in names:
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            meshes.append(stand_in(info.scan_of, info.scale))
-        else:
-            scan = find_scan(config.objects_dir, info.scan_names)
-            meshes.append(centred(read_mesh(scan)[0], info.scale))
+    meshes = [object_mesh(name, config.objects_dir) for name in names]
     hand = load_robot().hand
     heatmaps = compute_heatmaps(
         [(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes],

@@ -27,15 +27,15 @@ from rich.console import Console
 from rich.progress import track
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import (
     DistanceField,
     distance_and_normal,
     signed_distance,
 )
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import has_scan, object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.table import Table
@@ -197,14 +197,10 @@ def main(config: DistanceConfig) -> None:
     rows: list[dict[str, Any]] = []
     without_scan: list[str] = []
     for name in track(resolve(config.objects), "comparing", console=console, transient=True):
-        info = load_catalogue()[name]
-        try:
-            scan = find_scan(config.objects_dir, info.scan_names)
-        except FileError:
+        if not has_scan(name, config.objects_dir):
             without_scan.append(name)
             continue
-        mesh = centred(read_mesh(scan)[0], info.scale)
-        rows.append({"object": name, **compare(mesh, config)})
+        rows.append({"object": name, **compare(object_mesh(name, config.objects_dir), config)})
         document = {
             **made,
             "spacing_mm": 1e3 * config.spacing,

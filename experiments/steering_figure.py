@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import trimesh
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -26,8 +25,7 @@ from mjx_grasp.heatmap.sampling import Triples, best_triple
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
@@ -73,7 +71,9 @@ def main(config: FigureConfig) -> None:
     rows: list[dict[str, Any]] = []
     cells: dict[str, list[Cell]] = {kind: [] for kind in KINDS}
     for name, instruction in track(CASES, "steering", console=Console(stderr=True)):
-        mesh, source = _mesh(name, config.objects_dir)
+        has_scan = load_catalogue()[name].split != "figure_only"
+        objects_dir = config.objects_dir if has_scan else None
+        mesh, source = object_mesh(name, objects_dir), "scan" if objects_dir else "stand-in"
         heatmap = compute_heatmap(
             np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,
             hand.scoring_friction,
@@ -124,13 +124,6 @@ def main(config: FigureConfig) -> None:
     write_json(config.results, content)
     Console().print(_table(rows))
     print(f"written: {config.out}, {config.results}")
-
-
-def _mesh(name: str, objects_dir: Path | None) -> tuple[trimesh.Trimesh, str]:
-    info = load_catalogue()[name]
-    if objects_dir is None or info.split == "figure_only":
-        return stand_in(info.scan_of, info.scale), "stand-in"
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale), "scan"
 
 
 def _conditions(sigmas: tuple[float, ...]) -> list[tuple[str, float | None]]:

@@ -42,6 +42,7 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import replacing, write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.heatmap_benchmark/1"
@@ -54,19 +55,19 @@ LARGEST_BRUTE = {"cpu": 6_000, "gpu": 210_000}
 
 
 @dataclass(frozen=True)
-class BenchmarkConfig:
+class BenchmarkConfig(CommandSettings):
     """What to measure."""
 
     out: Path
     plot: Path | None = None
-    """PNG of the growth; beside the JSON by default."""
+    """PNG of the growth; beside the JSON by default"""
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
-    repeats: int = 7
+    """folder of real scans; parametric stand-ins without one"""
+    repeats: Count = 7
     skip_reference: bool = False
-    growth: tuple[int, ...] = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
-    """Faces of the meshes that the growth is measured on."""
+    growth: tuple[Count, ...] = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
+    """faces of the meshes that the growth is measured on"""
 
 
 def timed(run: Callable[[], Any], repeats: int) -> tuple[float, float]:

@@ -24,12 +24,13 @@ from mjx_grasp.objects.convex import ConvexConfig, single_hull
 from mjx_grasp.objects.model import ObjectModel, has_scan, load_object
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings
 
 SCHEMA = "mjx_grasp.convex_pieces/1"
 
 
 @dataclass(frozen=True)
-class PiecesConfig:
+class PiecesConfig(CommandSettings):
     """What to divide."""
 
     out: Path

@@ -24,6 +24,7 @@ from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import subject_of
@@ -32,19 +33,19 @@ SCHEMA = "mjx_grasp.heatmaps/1"
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandSettings):
     """What to draw."""
 
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     objects: tuple[str, ...] = ("train",)
-    """Objects or groups."""
+    """objects or groups"""
     out: Path = Path("docs/heatmaps.png")
     results: Path = Path("experiments/results/heatmaps.json")
-    columns: int = 7
-    cell_pixels: int = 220
-    max_kb: int = 400
-    """Largest picture."""
+    columns: Count = 7
+    cell_pixels: Count = 220
+    max_kb: Count = 400
+    """largest picture"""
 
 
 def main(config: FigureConfig) -> None:

@@ -24,6 +24,7 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.robot.spec import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "heatmap"))
@@ -35,12 +36,12 @@ BACKENDS = ("bvh", "brute")
 
 
 @dataclass(frozen=True)
-class OracleConfig:
+class OracleConfig(CommandSettings):
     """What to compare."""
 
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     out: Path = Path("experiments/results/heatmap_oracle.json")
 
 

@@ -24,6 +24,7 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Share
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.heatmap_ranking/1"
@@ -31,16 +32,16 @@ WATCHED = ("mini_soccer_ball", "pitcher_base", "power_drill", "toy_airplane")
 
 
 @dataclass(frozen=True)
-class RankingConfig:
+class RankingConfig(CommandSettings):
     """What to rank."""
 
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
-    best_share: float = 0.05
-    """Share of the vertices whose mean score ranks an object."""
-    good_score: float = 0.3
-    """Vertices above this count as good."""
+    """folder of real scans; parametric stand-ins without one"""
+    best_share: Share = 0.05
+    """share of the vertices whose mean score ranks an object"""
+    good_score: Share = 0.3
+    """vertices above this count as good"""
     out: Path = Path("experiments/results/heatmap_ranking.json")
 
 

@@ -28,6 +28,7 @@ from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Positive
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of
@@ -48,20 +49,20 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandSettings):
     """What to draw."""
 
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one, and where there is no scan."""
-    drawn_sigma: float = 0.020
-    """Of the steered pictures [m]."""
-    sigmas: tuple[float, ...] = (0.030, 0.020)
-    """Of the results [m]."""
+    """folder of real scans; parametric stand-ins without one, and where there is no scan"""
+    drawn_sigma: Positive = 0.020
+    """of the steered pictures [m]"""
+    sigmas: tuple[Positive, ...] = (0.030, 0.020)
+    """of the results [m]"""
     out: Path = Path("docs/steering.png")
     results: Path = Path("experiments/results/steering.json")
-    cell_pixels: int = 240
-    max_kb: int = 400
-    """Largest picture."""
+    cell_pixels: Count = 240
+    max_kb: Count = 400
+    """largest picture"""
 
 
 def main(config: FigureConfig) -> None:

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +24,11 @@ import tyro
 from jaxtyping import Array
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Seed, Several
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world
@@ -38,7 +38,7 @@ SCHEMA = "mjx_grasp.engines/1"
 
 
 @dataclass(frozen=True)
-class EnginesConfig:
+class EnginesConfig(CommandSettings):
     """What to measure."""
 
     out: Path
@@ -48,21 +48,16 @@ class EnginesConfig:
     """folder of real scans; parametric stand-ins without one"""
     handoffs: Path | None = None
     """start states; the shipped ones by default"""
-    worlds: tuple[int, ...] = (32, 128)
+    worlds: Annotated[tuple[Count, ...], Several()] = (32, 128)
     engines: tuple[Engine, ...] = get_args(Engine)
-    warm_up: int = 80
+    warm_up: Count = 80
     """control ticks in native MuJoCo before anything is timed"""
-    ticks: int = 4
+    ticks: Count = 4
     """control ticks of a timed run"""
-    repeats: int = 3
-    seed: int = 0
+    repeats: Count = 3
+    seed: Seed = 0
     scene: SceneConfig = field(default_factory=lambda: SceneConfig(fix_idle_fingers=True))
     """as training has it"""
-
-    def __post_init__(self):
-        for name in ("warm_up", "ticks", "repeats"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "a whole number from 1")
 
 
 def stepper(

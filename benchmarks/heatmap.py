@@ -38,11 +38,11 @@ from mjx_grasp.heatmap import (
     steer_many,
 )
 from mjx_grasp.heatmap.backends import backend_for
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import replacing, write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.heatmap_benchmark/1"
@@ -55,19 +55,19 @@ LARGEST_BRUTE = {"cpu": 6_000, "gpu": 210_000}
 
 
 @dataclass(frozen=True)
-class BenchmarkConfig:
+class BenchmarkConfig(CommandSettings):
     """What to measure."""
 
     out: Path
     plot: Path | None = None
-    """PNG of the growth; beside the JSON by default."""
+    """PNG of the growth; beside the JSON by default"""
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
-    repeats: int = 7
+    """folder of real scans; parametric stand-ins without one"""
+    repeats: Count = 7
     skip_reference: bool = False
-    growth: tuple[int, ...] = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
-    """Faces of the meshes that the growth is measured on."""
+    growth: tuple[Count, ...] = (1_000, 3_000, 10_000, 30_000, 100_000, 200_000)
+    """faces of the meshes that the growth is measured on"""
 
 
 def timed(run: Callable[[], Any], repeats: int) -> tuple[float, float]:
@@ -158,21 +158,9 @@ def peak_memory(faces: int) -> float:
     return 1024.0 * float(done.stdout.split()[-1])
 
 
-def meshes_of(config: BenchmarkConfig) -> dict[str, trimesh.Trimesh]:
-    meshes = {}
-    for name in resolve(config.objects):
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            meshes[name] = stand_in(info.scan_of, info.scale)
-        else:
-            scan = find_scan(config.objects_dir, info.scan_names)
-            meshes[name] = centred(read_mesh(scan)[0], info.scale)
-    return meshes
-
-
 def measure(config: BenchmarkConfig) -> dict[str, Any]:
     hand = load_robot().hand
-    meshes = meshes_of(config)
+    meshes = {name: object_mesh(name, config.objects_dir) for name in resolve(config.objects)}
     arrays = {n: (np.asarray(m.vertices), np.asarray(m.faces)) for n, m in meshes.items()}
     console = Console(stderr=True)
 

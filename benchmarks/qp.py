@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,7 @@ from mjx_grasp.reaching.presets import for_sweep, preset
 from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Seed, Several
 from mjx_grasp.robot.spec import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reaching"))
@@ -45,19 +46,19 @@ _PERCENTILES = (50, 90, 99, 100)
 
 
 @dataclass(frozen=True)
-class QpBenchmarkConfig:
+class QpBenchmarkConfig(CommandSettings):
     """What to measure."""
 
     out: Path
     """results file to write (.json)"""
-    poses: int = 40
+    poses: Count = 40
     """reaches that each set of problems is drawn from [-]"""
-    per_pose: int = 30
+    per_pose: Count = 30
     """problems of each, ten ticks apart [-]"""
-    iterations: tuple[int, ...] = (25, 50, 100)
+    iterations: Annotated[tuple[Count, ...], Several()] = (25, 50, 100)
     """of ADMM [-]"""
-    repeats: int = 7
-    seed: int = 11
+    repeats: Count = 7
+    seed: Seed = 11
 
 
 def exact_solutions(problems: QP) -> np.ndarray:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,6 @@ import numpy as np
 import tyro
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry.signed_distance import Cylinder
@@ -42,6 +41,7 @@ from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep, preset
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Range, Seed, Several
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import load_robot
 
@@ -51,23 +51,19 @@ _TOLERANCE, _LONGEST = 0.020, 3.0
 
 
 @dataclass(frozen=True)
-class ReachBenchmarkConfig:
+class ReachBenchmarkConfig(CommandSettings):
     """What to measure."""
 
     out: Path
     """results file to write (.json)"""
-    worlds: tuple[int, ...] = (1, 256)
+    worlds: Annotated[tuple[Count, ...], Several()] = (1, 256)
     """robots at once [-]"""
-    ticks: int = 50
+    ticks: Count = 50
     """of a timed run [-]"""
-    repeats: int = 5
-    reaches: int = 32
+    repeats: Count = 5
+    reaches: Annotated[int, Range(2, 2**31 - 1)] = 32
     """cylinders reached for one after another, by this package and by mink [-]"""
-    seed: int = 12
-
-    def __post_init__(self):
-        if self.reaches < 2:
-            raise InputError("reaches", self.reaches, "a whole number from 2")
+    seed: Seed = 12
 
 
 def tick_row(reacher: Reacher, poses: CylinderPoses, plans, name: str, config) -> dict[str, Any]:

@@ -42,6 +42,7 @@ from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.memory import bytes_per_world
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.scene import SceneConfig
@@ -49,7 +50,7 @@ from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
 
 
 @dataclass(frozen=True)
-class BenchmarkConfig:
+class BenchmarkConfig(CommandSettings):
     """What to measure."""
 
     handoffs: Path
@@ -57,17 +58,17 @@ class BenchmarkConfig:
     objects: tuple[str, ...] = ("train", "pitcher_base_scaled")
     objects_dir: Path | None = None
     settings: tuple[str, ...] = ("1024x64", "8192x16")
-    """Worlds x unroll, taken apart layer by layer."""
+    """worlds x unroll, taken apart layer by layer"""
     sizes: tuple[str, ...] = ()
-    """Worlds x unroll of which whole PPO iterations alone are timed."""
-    warm_up: int = 6
-    """PPO iterations before anything is timed."""
-    repeats: int = 5
-    ticks: int = 64
-    """Control ticks of a timed run of warp, mjx and task."""
-    seed: int = 0
+    """worlds x unroll of which whole PPO iterations alone are timed"""
+    warm_up: Count = 6
+    """PPO iterations before anything is timed"""
+    repeats: Count = 5
+    ticks: Count = 64
+    """control ticks of a timed run of warp, mjx and task"""
+    seed: Seed = 0
     scene: SceneConfig = field(default_factory=lambda: SceneConfig(fix_idle_fingers=True))
-    """As in the gpu preset."""
+    """as in the gpu preset"""
 
 
 def median_seconds(run: Callable[[], Any], repeats: int) -> float:

@@ -9,7 +9,6 @@ Success and force here are those of the training's own episodes, with exploratio
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,19 +18,20 @@ import tyro
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings
 
 SCHEMA = "mjx_grasp.training_runs/1"
 _LAST = 20  # iterations that the final figures are averaged over
 
 
 @dataclass(frozen=True)
-class CollectConfig:
+class CollectConfig(CommandSettings):
     """Which runs to add."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of finished runs."""
+    """folders of finished runs"""
     out: Path = Path("experiments/results/training_runs.json")
 
 
@@ -42,11 +42,11 @@ def run_row(folder: Path) -> dict[str, Any]:
         FileError: The folder lacks a run's files, or the run is not finished.
     """
     try:
-        config = json.loads((folder / "config.json").read_text())
-        made = json.loads((folder / "provenance.json").read_text())
+        config = read_json(folder / "config.json", "the settings of a run")
+        made = read_json(folder / "provenance.json", "the provenance of a run")
         with (folder / "metrics.csv").open(newline="") as stream:
             metrics = list(csv.DictReader(stream))
-    except (OSError, ValueError) as error:
+    except (OSError, csv.Error) as error:
         raise FileError(
             folder, f"no finished run ({error})", "config, provenance, metrics"
         ) from None
@@ -84,7 +84,7 @@ def main(config: CollectConfig) -> None:
     """Adds the runs and prints the table."""
     rows: dict[str, dict[str, Any]] = {}
     if config.out.exists():
-        rows = {r["run"]: r for r in json.loads(config.out.read_text())["rows"]}
+        rows = {r["run"]: r for r in read_json(config.out, "a table of runs")["rows"]}
     rows |= {folder.name: run_row(folder) for folder in config.runs}
     document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
     write_json(config.out, document)

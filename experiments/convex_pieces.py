@@ -19,18 +19,18 @@ from simulation_tables import pieces_table
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.convex import ConvexConfig, single_hull
-from mjx_grasp.objects.meshes import find_scan
-from mjx_grasp.objects.model import ObjectModel, load_object
+from mjx_grasp.objects.model import ObjectModel, has_scan, load_object
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings
 
 SCHEMA = "mjx_grasp.convex_pieces/1"
 
 
 @dataclass(frozen=True)
-class PiecesConfig:
+class PiecesConfig(CommandSettings):
     """What to divide."""
 
     out: Path
@@ -63,16 +63,10 @@ def split_by_scan(names: tuple[str, ...], objects_dir: Path) -> tuple[list[str],
     Raises:
         FileError: It holds none.
     """
-    with_scan, without = [], []
-    for name in names:
-        try:
-            find_scan(objects_dir, load_catalogue()[name].scan_names)
-            with_scan.append(name)
-        except FileError:
-            without.append(name)
+    with_scan = [name for name in names if has_scan(name, objects_dir)]
     if not with_scan:
         raise FileError(objects_dir, "no scan of these objects", "a folder of object scans")
-    return with_scan, without
+    return with_scan, [name for name in names if name not in with_scan]
 
 
 def main(config: PiecesConfig) -> None:

@@ -8,7 +8,7 @@ is the reference; `--engine mjx` gives the training engine's figures for the com
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -25,8 +25,8 @@ from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
-from mjx_grasp.records.atomic import as_json
 from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.records.settings import CommandSettings, Count, NonNegative, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
@@ -36,34 +36,30 @@ CONDITIONS = {
     "offset10": dict(offset_mm=10.0, angle_deg=0.0, friction=0.8),
     "friction05": dict(offset_mm=5.0, angle_deg=0.0, friction=0.5),
 }
+Condition = Literal["nominal", "offset10", "friction05"]
 
 
 @dataclass(frozen=True)
-class ComparisonConfig:
+class ComparisonConfig(CommandSettings):
     """Which controllers to compare, on what."""
 
     out: Path
     objects: tuple[str, ...] = ("eight",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     policy: Path | None = None
-    """Policy file; the shipped one by default."""
+    """policy file; the shipped one by default"""
     handoffs: Path | None = None
-    """Handoff set; the shipped one by default."""
+    """handoff set; the shipped one by default"""
     states: Literal["evaluation", "training", "all"] = "evaluation"
-    conditions: tuple[str, ...] = ("nominal",)
-    """Of nominal (offset ±5 mm, friction 0.8), offset10 and friction05."""
-    squeeze_forces: tuple[float, ...] = (1.0, 3.0, 5.0, 8.0)
-    """Commanded forces of the squeeze [N]; 1 is the policy's own command without its residuals."""
+    conditions: tuple[Condition, ...] = ("nominal",)
+    """of nominal (offset ±5 mm, friction 0.8), offset10 and friction05"""
+    squeeze_forces: tuple[NonNegative, ...] = (1.0, 3.0, 5.0, 8.0)
+    """commanded forces of the squeeze [N]; 1 is the policy's own command without its residuals"""
     engine: Engine = "mujoco"
-    episodes: int = 64
-    worlds: int = 256
-    seed: int = 1
-
-    def __post_init__(self):
-        unknown = [c for c in self.conditions if c not in CONDITIONS]
-        if unknown:
-            raise InputError("--conditions", unknown, f"some of {', '.join(CONDITIONS)}")
+    episodes: Count = 64
+    worlds: Count = 256
+    seed: Seed = 1
 
 
 def main(config: ComparisonConfig) -> None:
@@ -74,7 +70,7 @@ def main(config: ComparisonConfig) -> None:
     robot = load_robot()
     policy, stored = load_controller(file, robot), load_handoffs(handoffs, robot=robot)
     made_of = {
-        "settings": as_json(asdict(config)),
+        "settings": to_record(config),
         "sha256": file_digests(policy=file, handoffs=handoffs),
     }
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())

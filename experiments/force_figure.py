@@ -19,19 +19,20 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.viz.plots import success_against_force_by_condition
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandSettings):
     """What to draw, and where to."""
 
     results: Path = ROOT / "experiments" / "results"
-    """Folder of the results files."""
+    """folder of the results files"""
     engine: str = "mujoco"
-    """Engine of the evaluations."""
+    """engine of the evaluations"""
     out: Path = ROOT / "docs" / "success_force.png"
 
 

@@ -20,10 +20,11 @@ from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.sampling import best_triple
 from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.meshes import find_scan
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import subject_of
@@ -32,19 +33,19 @@ SCHEMA = "mjx_grasp.heatmaps/1"
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandSettings):
     """What to draw."""
 
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     objects: tuple[str, ...] = ("train",)
-    """Objects or groups."""
+    """objects or groups"""
     out: Path = Path("docs/heatmaps.png")
     results: Path = Path("experiments/results/heatmaps.json")
-    columns: int = 7
-    cell_pixels: int = 220
-    max_kb: int = 400
-    """Largest picture."""
+    columns: Count = 7
+    cell_pixels: Count = 220
+    max_kb: Count = 400
+    """largest picture"""
 
 
 def main(config: FigureConfig) -> None:
@@ -53,12 +54,9 @@ def main(config: FigureConfig) -> None:
     hand = load_robot().hand
     rows, cells = [], []
     for name in track(resolve(config.objects), "heatmaps", console=Console(stderr=True)):
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            mesh, file = stand_in(info.scan_of, info.scale), "stand-in"
-        else:
-            path = find_scan(config.objects_dir, info.scan_names)
-            mesh, file = centred(read_mesh(path)[0], info.scale), path.name
+        mesh, file = object_mesh(name, config.objects_dir), "stand-in"
+        if config.objects_dir is not None:
+            file = find_scan(config.objects_dir, load_catalogue()[name].scan_names).name
         start = time.perf_counter()
         heatmap = compute_heatmap(
             np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,

@@ -20,11 +20,11 @@ from rich.progress import track
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.robot.spec import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "heatmap"))
@@ -36,12 +36,12 @@ BACKENDS = ("bvh", "brute")
 
 
 @dataclass(frozen=True)
-class OracleConfig:
+class OracleConfig(CommandSettings):
     """What to compare."""
 
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
+    """folder of real scans; parametric stand-ins without one"""
     out: Path = Path("experiments/results/heatmap_oracle.json")
 
 
@@ -51,12 +51,7 @@ def main(config: OracleConfig) -> None:
     hand = load_robot().hand
     rows = []
     for name in track(names, "comparing", console=Console(stderr=True), transient=True):
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            mesh = stand_in(info.scan_of, info.scale)
-        else:
-            scan = find_scan(config.objects_dir, info.scan_names)
-            mesh = centred(read_mesh(scan)[0], info.scale)
+        mesh = object_mesh(name, config.objects_dir)
         result = oracle.heatmap(mesh, hand.span, hand.scoring_friction)
         for backend in BACKENDS:
             heatmap = compute_heatmap(

@@ -20,11 +20,11 @@ import tyro
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmaps
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Share
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.heatmap_ranking/1"
@@ -32,30 +32,23 @@ WATCHED = ("mini_soccer_ball", "pitcher_base", "power_drill", "toy_airplane")
 
 
 @dataclass(frozen=True)
-class RankingConfig:
+class RankingConfig(CommandSettings):
     """What to rank."""
 
     objects: tuple[str, ...] = ("train",)
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one."""
-    best_share: float = 0.05
-    """Share of the vertices whose mean score ranks an object."""
-    good_score: float = 0.3
-    """Vertices above this count as good."""
+    """folder of real scans; parametric stand-ins without one"""
+    best_share: Share = 0.05
+    """share of the vertices whose mean score ranks an object"""
+    good_score: Share = 0.3
+    """vertices above this count as good"""
     out: Path = Path("experiments/results/heatmap_ranking.json")
 
 
 def main(config: RankingConfig) -> None:
     """Ranks, and writes the file."""
     names = resolve(config.objects)
-    meshes = []
-    for name in names:
-        info = load_catalogue()[name]
-        if config.objects_dir is None:
-            meshes.append(stand_in(info.scan_of, info.scale))
-        else:
-            scan = find_scan(config.objects_dir, info.scan_names)
-            meshes.append(centred(read_mesh(scan)[0], info.scale))
+    meshes = [object_mesh(name, config.objects_dir) for name in names]
     hand = load_robot().hand
     heatmaps = compute_heatmaps(
         [(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes],

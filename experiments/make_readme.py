@@ -25,6 +25,7 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import SCHEMAS, ResultRow, ThroughputRow, schema_of
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.records.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -32,13 +33,13 @@ RUNS_SCHEMA = "mjx_grasp.training_runs/1"
 
 
 @dataclass(frozen=True)
-class ReadmeConfig:
+class ReadmeConfig(CommandSettings):
     """Writes the generated sections of the READMEs."""
 
     check: bool = False
-    """Change nothing; fail if a generated section does not match the results."""
+    """change nothing; fail if a generated section does not match the results"""
     root: Path = ROOT
-    """The repository."""
+    """the repository"""
 
 
 def sections(root: Path) -> dict[Path, dict[str, str]]:

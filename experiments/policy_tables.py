@@ -6,7 +6,6 @@ how that one was trained.
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 
@@ -49,7 +49,8 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
         FileError: A file cannot be read.
     """
     table = folder / "training_runs.json"
-    trained = {r["run"]: r for r in json.loads(table.read_text())["rows"]} if table.exists() else {}
+    rows = read_json(table, "a table of runs")["rows"] if table.exists() else []
+    trained = {row["run"]: row for row in rows}
     found = []
     for path in (*comparisons(folder), *sorted((folder / "seeds").glob("*.json"))):
         own = [

@@ -5,7 +5,6 @@ python experiments/reach_ablation.py --out experiments/results/reach_ablation.js
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,14 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.reach.config import SweepConfig
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS
 from mjx_grasp.evaluation.reach.run import run_sweep
 from mjx_grasp.reaching.presets import PRESETS
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sweep_reach import SweepConfig
 
 _KEPT = (
     "rate_percent",
@@ -40,14 +40,14 @@ _KEPT = (
 
 
 @dataclass(frozen=True)
-class AblationConfig:
+class AblationConfig(CommandSettings):
     """What to compare."""
 
     out: Path
     """results file to write (.json)"""
-    poses: int = 2752
-    seed: int = SweepConfig().seed
-    chunk: int | None = None
+    poses: Count = 2752
+    seed: Seed = SweepConfig().seed
+    chunk: Count | None = None
     resume: bool = False
     """keep the rows that the results file has already"""
     sweeps: tuple[Path, ...] = ()
@@ -63,13 +63,13 @@ def known_rows(config: AblationConfig) -> dict[str, dict[str, Any]]:
     """
     rows: dict[str, dict[str, Any]] = {}
     for path in (*([config.out] if config.resume else []), *config.sweeps):
+        stored = read_json(path, "results of a sweep")
         try:
-            stored = json.loads(path.read_text())
             made = stored["provenance"]
             asked = {"poses": config.poses, "seed": config.seed}
             found = {"poses": stored["poses"], "seed": made["seed"]}
             new = stored["rows"] if "rows" in stored else {stored["preset"]: stored}
-        except (OSError, ValueError, KeyError) as error:
+        except (KeyError, TypeError) as error:
             raise FileError(path, f"no results to keep ({error!r})", "those of a sweep") from None
         if found != asked:
             raise InputError(str(path), found, str(asked))

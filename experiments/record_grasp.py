@@ -18,6 +18,7 @@ from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.evaluation.trajectory import save_trajectory
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
+from mjx_grasp.records.settings import CommandSettings, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
@@ -26,17 +27,17 @@ from mjx_grasp.viz.rendering import VideoConfig, render_in_subprocess
 
 
 @dataclass(frozen=True)
-class RecordConfig:
+class RecordConfig(CommandSettings):
     """What to record."""
 
     out: Path = Path("docs/grasp.gif")
-    """.gif (at most 2 MB), .mp4 or .png."""
+    """.gif (at most 2 MB), .mp4 or .png"""
     object: str = "tomato_soup_can"
     objects_dir: Path | None = None
-    """Folder of real scans; the parametric stand-in without one."""
+    """folder of real scans; the parametric stand-in without one"""
     policy: Path | None = None
-    """Policy file; the shipped one by default."""
-    seed: int = 0
+    """policy file; the shipped one by default"""
+    seed: Seed = 0
 
 
 def main(config: RecordConfig) -> None:

@@ -27,17 +27,18 @@ from rich.console import Console
 from rich.progress import track
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import (
     DistanceField,
     distance_and_normal,
     signed_distance,
 )
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
+from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.model import has_scan, object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed
 from mjx_grasp.records.table import Table
 
 SCHEMA = "mjx_grasp.signed_distance/2"
@@ -54,28 +55,27 @@ AROUND = (AROUND - 1) / np.linalg.norm(AROUND - 1, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
-class DistanceConfig:
+class DistanceConfig(CommandSettings):
     """What to compare."""
 
     objects_dir: Path
     """folder of real scans"""
     objects: tuple[str, ...] = ("all",)
-    spacing: float = 0.0015
+    spacing: Positive = 0.0015
     """of the grid [m]"""
-    near: float = 0.010
+    near: Positive = 0.010
     """how far from the surface points are drawn [m]"""
-    count: int = 4000
+    count: Count = 4000
     """points on the surface, and as many near it [-]"""
-    count_normals: int = 1000
+    count_normals: Count = 1000
     """points of those near it whose normals are compared [-]"""
-    seed: int = 0
+    seed: Seed = 0
     out: Path = Path("experiments/results/signed_distance_scans.json")
 
-    def __post_init__(self):
-        if self.count < 1:
-            raise InputError("count", self.count, "a whole number from 1")
-        if not 1 <= self.count_normals <= self.count:
-            raise InputError("count_normals", self.count_normals, "from 1 to count")
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.count_normals > self.count:
+            raise InputError(self.name_of("count_normals"), self.count_normals, "at most --count")
 
 
 def exact_normals(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,14 +197,10 @@ def main(config: DistanceConfig) -> None:
     rows: list[dict[str, Any]] = []
     without_scan: list[str] = []
     for name in track(resolve(config.objects), "comparing", console=console, transient=True):
-        info = load_catalogue()[name]
-        try:
-            scan = find_scan(config.objects_dir, info.scan_names)
-        except FileError:
+        if not has_scan(name, config.objects_dir):
             without_scan.append(name)
             continue
-        mesh = centred(read_mesh(scan)[0], info.scale)
-        rows.append({"object": name, **compare(mesh, config)})
+        rows.append({"object": name, **compare(object_mesh(name, config.objects_dir), config)})
         document = {
             **made,
             "spacing_mm": 1e3 * config.spacing,

@@ -5,13 +5,13 @@ Each takes the path of one results file and gives Markdown; `make_readme.py` put
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from stage_tables import NOTHING
 
+from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 
@@ -19,7 +19,7 @@ def convex_pieces(path: Path) -> str:
     """How many objects one shape is enough for, then every object's pieces and errors."""
     if not path.exists():
         return NOTHING
-    d = json.loads(path.read_text())
+    d = read_json(path, "a results file")
     rows, settings = d["rows"], d["settings"]
     asked = 1e3 * settings["single_hull_error"]
     kinds = {kind: sum(r["kind"] == kind for r in rows) for kind in ("sphere", "hull", "pieces")}
@@ -60,7 +60,7 @@ def engines(path: Path) -> str:
     """Control steps per second of both engines on one device, and their ratio."""
     if not path.exists():
         return NOTHING
-    d = json.loads(path.read_text())
+    d = read_json(path, "a results file")
     speed = {(r["worlds"], r["engine"]): r for r in d["rows"]}
     rows = []
     for worlds in dict.fromkeys(r["worlds"] for r in d["rows"]):

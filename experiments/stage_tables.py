@@ -5,11 +5,11 @@ Each takes the path of one results file and gives Markdown; `make_readme.py` put
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
@@ -18,14 +18,14 @@ NOTHING = "_No results file yet._"
 
 def read(path: Path) -> dict[str, Any] | None:
     """A results file; None where there is none."""
-    return json.loads(path.read_text()) if path.exists() else None
+    return read_json(path, "a results file") if path.exists() else None
 
 
 def heatmap_speed(paths: Sequence[Path]) -> str:
     """Times of the heatmap benchmark, device by device."""
     rows = []
     for path in paths:
-        d = json.loads(path.read_text())
+        d = read_json(path, "a results file")
         if d.get("schema") != HEATMAP_SCHEMA:
             continue
         s = d["summary"]

@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import trimesh
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -26,10 +25,10 @@ from mjx_grasp.heatmap.sampling import Triples, best_triple
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
-from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
-from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Positive
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
 from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of
@@ -50,20 +49,20 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandSettings):
     """What to draw."""
 
     objects_dir: Path | None = None
-    """Folder of real scans; parametric stand-ins without one, and where there is no scan."""
-    drawn_sigma: float = 0.020
-    """Of the steered pictures [m]."""
-    sigmas: tuple[float, ...] = (0.030, 0.020)
-    """Of the results [m]."""
+    """folder of real scans; parametric stand-ins without one, and where there is no scan"""
+    drawn_sigma: Positive = 0.020
+    """of the steered pictures [m]"""
+    sigmas: tuple[Positive, ...] = (0.030, 0.020)
+    """of the results [m]"""
     out: Path = Path("docs/steering.png")
     results: Path = Path("experiments/results/steering.json")
-    cell_pixels: int = 240
-    max_kb: int = 400
-    """Largest picture."""
+    cell_pixels: Count = 240
+    max_kb: Count = 400
+    """largest picture"""
 
 
 def main(config: FigureConfig) -> None:
@@ -73,7 +72,9 @@ def main(config: FigureConfig) -> None:
     rows: list[dict[str, Any]] = []
     cells: dict[str, list[Cell]] = {kind: [] for kind in KINDS}
     for name, instruction in track(CASES, "steering", console=Console(stderr=True)):
-        mesh, source = _mesh(name, config.objects_dir)
+        has_scan = load_catalogue()[name].split != "figure_only"
+        objects_dir = config.objects_dir if has_scan else None
+        mesh, source = object_mesh(name, objects_dir), "scan" if objects_dir else "stand-in"
         heatmap = compute_heatmap(
             np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,
             hand.scoring_friction,
@@ -124,13 +125,6 @@ def main(config: FigureConfig) -> None:
     write_json(config.results, content)
     Console().print(_table(rows))
     print(f"written: {config.out}, {config.results}")
-
-
-def _mesh(name: str, objects_dir: Path | None) -> tuple[trimesh.Trimesh, str]:
-    info = load_catalogue()[name]
-    if objects_dir is None or info.split == "figure_only":
-        return stand_in(info.scan_of, info.scale), "stand-in"
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale), "scan"
 
 
 def _conditions(sigmas: tuple[float, ...]) -> list[tuple[str, float | None]]:

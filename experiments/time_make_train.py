@@ -22,22 +22,23 @@ import tyro
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.atomic import check_writable, replacing
+from mjx_grasp.records.atomic import check_writable, read_json, replacing
 from mjx_grasp.records.provenance import command_line
+from mjx_grasp.records.settings import CommandSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
-class TimeConfig:
+class TimeConfig(CommandSettings):
     """Where to clone to and where to write."""
 
     clone: Path
-    """Folder to make; it must not be there."""
+    """folder to make; it must not be there"""
     python: str = "python3"
-    """The Python that `make` is given."""
+    """the Python that `make` is given"""
     out: Path = ROOT / "experiments" / "results" / "make_train_cpu.json"
-    """Results file."""
+    """results file"""
 
 
 def timed(command: list[str], folder: Path | None = None) -> float:
@@ -97,7 +98,7 @@ def curve(path: Path) -> dict[str, float]:
 
 def write(out: Path, run: Path, durations: dict[str, float]) -> None:
     """The results file of a run and how long what took."""
-    results = json.loads((run / "results.json").read_text())
+    results = read_json(run / "results.json", "a results file")
     document = {
         "schema": results["schema"],
         "label": results["label"],

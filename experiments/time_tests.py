@@ -22,23 +22,24 @@ from time_make_train import ROOT, fresh_clone
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.atomic import check_writable, read_json, write_json
 from mjx_grasp.records.provenance import command_line
+from mjx_grasp.records.settings import CommandSettings
 
 SCHEMA = "mjx_grasp.tests/1"
 _PROVENANCE = "import json, mjx_grasp.records.provenance as p; print(json.dumps(p.provenance(0)))"
 
 
 @dataclass(frozen=True)
-class TimeConfig:
+class TimeConfig(CommandSettings):
     """Where to clone to and where to write."""
 
     clone: Path
-    """Folder to make; it must not be there."""
+    """folder to make; it must not be there"""
     python: str = "python3"
-    """The Python that `make` is given."""
+    """the Python that `make` is given"""
     out: Path = ROOT / "experiments" / "results" / "tests_cpu.json"
-    """Results file."""
+    """results file"""
 
 
 def counts(path: Path) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def write(out: Path, row: dict[str, Any]) -> None:
         found = row["provenance"]["versions"]
         return found["python"], found["jax"]
 
-    rows = json.loads(out.read_text())["rows"] if out.exists() else []
+    rows = read_json(out, "a results file")["rows"] if out.exists() else []
     rows = sorted([*(r for r in rows if key(r) != key(row)), row], key=key)
     write_json(out, {"schema": SCHEMA, "rows": rows, "provenance": row["provenance"]})
 

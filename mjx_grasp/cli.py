@@ -1,14 +1,16 @@
 """What all commands share: an end without a traceback, and a progress bar.
 
-Importing this is cheap, and a command imports nothing else before `run_command` watches over it:
-Ctrl-C ends it quietly from its first tenth of a second on.
+Importing this is cheap, and a command's file imports nothing else at its top: the rest follows
+where `starting` watches over it.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
 from mjx_grasp.errors import MjxGraspError
@@ -16,6 +18,8 @@ from mjx_grasp.errors import MjxGraspError
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
+
+_INTERRUPTED = 130
 
 
 def run_command(command: Callable[[], None]) -> None:
@@ -27,7 +31,30 @@ def run_command(command: Callable[[], None]) -> None:
         sys.exit(2)
     except KeyboardInterrupt as interrupt:
         print(str(interrupt) or "interrupted", file=sys.stderr)
-        _end_now(130)
+        _end_now(_INTERRUPTED)
+
+
+@contextmanager
+def starting() -> Iterator[None]:
+    """Ctrl-C ends the process at once, for while a command imports and parses.
+
+    Where libraries are imported a KeyboardInterrupt does not arrive: some lose it, some make an
+    error of their own of it. There is nothing to clean up yet.
+    """
+
+    def end(*_: object) -> None:
+        os.write(2, b"interrupted\n")
+        _end_now(_INTERRUPTED)
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler:  # ignored, or somebody else's
+        yield
+        return
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _end_now(status: int) -> NoReturn:

@@ -1,18 +1,20 @@
 """`python -m mjx_grasp.evaluate`: success, failures and forces of a controller, as a file."""
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, evaluates, prints the table."""
-    import tyro
-    from rich.console import Console
+    with starting():
+        import tyro
+        from rich.console import Console
 
-    from mjx_grasp.evaluation.config import EvaluateConfig
-    from mjx_grasp.evaluation.job import evaluate_to_file
-    from mjx_grasp.evaluation.tables import success_table
+        from mjx_grasp.evaluation.config import EvaluateConfig
+        from mjx_grasp.evaluation.job import evaluate_to_file
+        from mjx_grasp.evaluation.tables import success_table
 
-    config = tyro.cli(EvaluateConfig, description=__doc__)
+        config = tyro.cli(EvaluateConfig, description=__doc__)
+
     console = Console(stderr=True)
     rows = evaluate_to_file(config, console)
     Console().print(success_table(rows, scans=config.objects_dir is not None))

@@ -1,18 +1,20 @@
 """`python -m mjx_grasp.handoffs`: a dataset of pre-grasp states for a list of objects."""
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, makes the set, prints the table."""
-    import tyro
-    from rich.console import Console
+    with starting():
+        import tyro
+        from rich.console import Console
 
-    from mjx_grasp.handoff.config import HandoffConfig
-    from mjx_grasp.handoff.make import make_handoffs
-    from mjx_grasp.handoff.report import report_table
+        from mjx_grasp.handoff.config import HandoffConfig
+        from mjx_grasp.handoff.make import make_handoffs
+        from mjx_grasp.handoff.report import report_table
 
-    config = tyro.cli(HandoffConfig, description=__doc__)
+        config = tyro.cli(HandoffConfig, description=__doc__)
+
     console = Console()
     handoffs, reports = make_handoffs(config, console)
     console.print(report_table(reports))

@@ -8,18 +8,20 @@ contact_sheet.png, summary.csv and summary.json.
 
 import sys
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, makes the heatmaps, prints the table."""
-    import tyro
-    from rich.console import Console
+    with starting():
+        import tyro
+        from rich.console import Console
 
-    from mjx_grasp.heatmap.summary import summary_table
-    from mjx_grasp.viz.heatmap_folder import HeatmapsConfig, make_heatmaps
+        from mjx_grasp.heatmap.summary import summary_table
+        from mjx_grasp.viz.heatmap_folder import HeatmapsConfig, make_heatmaps
 
-    config = tyro.cli(HeatmapsConfig, description=__doc__)
+        config = tyro.cli(HeatmapsConfig, description=__doc__)
+
     rows = make_heatmaps(config, Console(stderr=True))
     Console().print(summary_table(rows))
     failed = [row for row in rows if row.error]

@@ -5,24 +5,25 @@ the controller's commands, all in one batch on whatever device JAX finds. Prints
 tolerance and time beside the publication's.
 """
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, sweeps, prints the tables, writes what was asked for."""
-    import tyro
-    from rich.console import Console
+    with starting():
+        import tyro
+        from rich.console import Console
 
-    from mjx_grasp.evaluation.reach.config import SweepConfig
-    from mjx_grasp.viz.sweep import check_outputs, write_outputs
+        from mjx_grasp.evaluation.reach.config import SweepConfig
+        from mjx_grasp.viz.sweep import check_outputs, write_outputs
 
-    config = tyro.cli(SweepConfig, description=__doc__)
-    check_outputs(config)
-    # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
-    from mjx_grasp.evaluation.reach.results import failure_line, rate_table, residual_table
-    from mjx_grasp.evaluation.reach.run import run_sweep
-    from mjx_grasp.reaching.presets import for_sweep, preset
-    from mjx_grasp.robot.spec import load_robot
+        config = tyro.cli(SweepConfig, description=__doc__)
+        check_outputs(config)
+        # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
+        from mjx_grasp.evaluation.reach.results import failure_line, rate_table, residual_table
+        from mjx_grasp.evaluation.reach.run import run_sweep
+        from mjx_grasp.reaching.presets import for_sweep, preset
+        from mjx_grasp.robot.spec import load_robot
 
     console = Console()
     settings, robot = for_sweep(preset(config.preset)), load_robot(config.robot)

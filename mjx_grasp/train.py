@@ -6,18 +6,20 @@ in native MuJoCo within minutes; `paper` is the published setting.
 
 import sys
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, trains, evaluates, reports."""
-    from rich.console import Console
+    with starting():
+        from rich.console import Console
 
-    from mjx_grasp.training.command_line import parse
-    from mjx_grasp.training.job import train
-    from mjx_grasp.viz.report import report_run
+        from mjx_grasp.training.command_line import parse
+        from mjx_grasp.training.job import train
+        from mjx_grasp.viz.report import report_run
 
-    console, config = Console(stderr=True), parse(sys.argv[1:], __doc__)
+        console, config = Console(stderr=True), parse(sys.argv[1:], __doc__)
+
     folder = train(config, console)
     if config.evaluation_episodes:
         report_run(folder, console)

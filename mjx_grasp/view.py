@@ -3,16 +3,18 @@
 Takes a mesh (metres) or the .npz of a heatmap. Needs the extra `viewer` (viser).
 """
 
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line and serves until it is interrupted."""
-    import tyro
+    with starting():
+        import tyro
 
-    from mjx_grasp.viz.viewing import ViewConfig, serve
+        from mjx_grasp.viz.viewing import ViewConfig, serve
 
-    config = tyro.cli(ViewConfig, description=__doc__)
+        config = tyro.cli(ViewConfig, description=__doc__)
+
     serve(config, lambda text: print(text, flush=True))
 
 

@@ -21,9 +21,9 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
-from mjx_grasp.train import parse
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
+from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.config import preset_config, stored_config
 from mjx_grasp.training.job import train
 

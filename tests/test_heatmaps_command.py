@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from typed import refusal
 
-from mjx_grasp.cli import run_command
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.files import load_heatmap
 from mjx_grasp.heatmap.nearness import steer_near
-from mjx_grasp.heatmaps import main
 
 COARSE = ("--edge", "0.04")
 
@@ -184,7 +183,7 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         (["{folder}", "--friction", "0"], "--friction"),
         (["{folder}", "--sigma", "-1"], "--sigma"),
         (["{folder}", "--between-contacts"], "an --anchor or an --instruction"),
-        (["{folder}", "--out", "{folder}/slab.obj/maps"], "that can be written"),
+        (["{folder}", "--out", "{folder}/slab.obj/maps"], "can be written (Not a directory)"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),
         (["{folder}", "--edge", "-1"], "--edge"),
@@ -199,11 +198,9 @@ def test_mistakes_are_refused_before_anything_is_written(
     filled = [a.format(folder=folder, empty=empty) for a in arguments]
     if "--out" not in filled:
         filled += ["--out", tmp_path / "out"]
-    monkeypatch.setattr(sys, "argv", ["heatmaps", *map(str, filled)])
-    with pytest.raises(SystemExit) as end:
-        run_command(main)
-    assert end.value.code == 2
-    shown = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    status, error = refusal(monkeypatch, capsys, "heatmaps", *filled)
+    assert status == 2
+    shown = " ".join(error.replace("│", " ").split())
     assert text in shown and "error" in shown.lower()
     assert not (tmp_path / "out").exists()
 

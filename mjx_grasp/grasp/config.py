@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
-from mjx_grasp.records.settings import Finite, NonNegative, Settings, Share
+from mjx_grasp.records.settings import Finite, NonNegative, Range, Settings, Share
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class TargetConfig(Settings):
     """|u × g| below which a reach direction does not spread the wraps [-]"""
     min_height: Finite = 0.015
     """no contact or target lower than this above the table [m]"""
-    min_goal_height: float = -float("inf")
+    min_goal_height: Annotated[float, Range(finite=False)] = -float("inf")
     """nor any standoff target, to which the tips go first; the paper does not ask for this [m]"""
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
@@ -14,8 +12,9 @@ from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.model import load_object, stand_in_hash
-from mjx_grasp.records.atomic import as_json, check_writable
+from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.spec import load_robot
 
 
@@ -71,7 +70,7 @@ def make_handoffs(
             f"{config.max_rounds} round(s), more --max-rounds may find some",
         )
     merged.save(config.out)
-    settings = as_json(asdict(config))
+    settings = to_record(config)
     path = config.out.with_suffix(".json")
     write_report(path, reports, made, settings, earlier)
     return merged, reports

@@ -91,9 +91,10 @@ def steered(
     stored: StoredHeatmap, anchor: Float[np.ndarray, " 3"], sigma: float, between_contacts: bool
 ) -> StoredHeatmap:
     """A heatmap with its scores steered to an anchor; see `steer_to`."""
-    score: Any = np.asarray(steer_to(stored.heatmap, jnp.asarray(anchor), sigma, between_contacts))
+    score = steer_to(stored.heatmap, jnp.asarray(anchor), sigma, between_contacts)
+    heatmap = jax.tree.map(np.asarray, stored.heatmap._replace(score=score))
     info = replace(stored.info, anchor=_point(anchor), sigma=sigma)
-    return replace(stored, heatmap=stored.heatmap._replace(score=score), info=info)
+    return replace(stored, heatmap=heatmap, info=info)
 
 
 def _point(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:

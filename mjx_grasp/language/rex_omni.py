@@ -30,6 +30,7 @@ from PIL import Image
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.language.grounding import Anchor, GroundingError, Target
 from mjx_grasp.language.pointing import LIMIT_M, anchor_at
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Settings
 
 BINS = 1000
 """Coordinates are whole numbers below this."""
@@ -51,22 +52,23 @@ _ACTION = re.compile(
 
 
 @dataclass(frozen=True)
-class RexOmniConfig:
+class RexOmniConfig(Settings):
     """Settings of the pointing model."""
 
     model: str = "IDEA-Research/Rex-Omni"
-    """Folder of the weights, or their name on the model hub (licensed for research)."""
+    """folder of the weights, or their name on the model hub (licensed for research)"""
     device: str = "auto"
-    """PyTorch device; auto takes a GPU where there is one."""
-    max_new_tokens: int = 256
-    """Longest answer."""
-    min_pixels: int = 16 * 28 * 28
-    """Smaller pictures are enlarged to this for the model."""
-    max_pixels: int = 2560 * 28 * 28
-    """Larger pictures are reduced to this for the model."""
-    repetition_penalty: float = 1.05
-    limit: float = LIMIT_M
-    """How far beside the object a point may be [m]."""
+    """PyTorch device; auto takes a GPU where there is one"""
+    max_new_tokens: Count = 256
+    """longest answer [tokens]"""
+    min_pixels: Count = 16 * 28 * 28
+    """smaller pictures are enlarged to this for the model [pixels]"""
+    max_pixels: Count = 2560 * 28 * 28
+    """larger pictures are reduced to this for the model [pixels]"""
+    repetition_penalty: Positive = 1.05
+    """above 1, tokens that were said already become less likely [-]"""
+    limit: NonNegative = LIMIT_M
+    """how far beside the object a point may be [m]"""
 
 
 class RexOmniGrounder:

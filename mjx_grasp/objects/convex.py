@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import trimesh
@@ -11,36 +12,41 @@ from jaxtyping import Float
 from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
 from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.surface import outside_distance, sample_surface
+from mjx_grasp.records.settings import Count, NonNegative, Range, Seed, Settings
 
 
 @dataclass(frozen=True)
-class ConvexConfig:
+class ConvexConfig(Settings):
     """How a mesh is divided into convex pieces."""
 
-    single_hull_error: float = 0.006  # m, 95 % outward error up to which one hull is enough
-    max_pieces: int = 12
-    max_vertices: int = 64  # per hull
-    ball_deviation: float = 0.04  # 95 % radial deviation over the radius of what counts as a ball
-    coacd_threshold: float = 0.1  # concavity
-    samples: int = 4000  # surface points of the error estimate
-    seed: int = 0
+    single_hull_error: NonNegative = 0.006
+    """95 % outward error up to which one hull is enough [m]"""
+    max_pieces: Count = 12
+    """pieces of an object at most [-]"""
+    max_vertices: Annotated[int, Range(4, 2**31 - 1)] = 64
+    """vertices of a hull at most [-]"""
+    ball_deviation: NonNegative = 0.04
+    """95 % radial deviation over the radius of what counts as a ball [-]"""
+    coacd_threshold: Annotated[float, Range(0, 1, above=True)] = 0.1
+    """concavity that is left [-]"""
+    samples: Count = 4000
+    """surface points of the error estimate [-]"""
+    seed: Seed = 0
+    """of the points and the decomposition"""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex piece of an object, in the object frame (m).
-
-    Attributes:
-        kind: 'sphere' or 'hull'.
-        pos: Centre of the sphere; centroid of the hull's vertices.
-        radius: Of the sphere; 0 for a hull.
-        vertices: Of the hull (n, 3); empty for a sphere.
-    """
+    """A convex piece of an object, in the object frame."""
 
     kind: str
+    """'sphere' or 'hull'"""
     pos: Float[np.ndarray, "3"]
+    """centre of the sphere; centroid of the hull's vertices [m]"""
     radius: float = 0.0
+    """of the sphere; 0 for a hull [m]"""
     vertices: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """of the hull; empty for a sphere [m]"""
 
     def surface(self) -> trimesh.Trimesh:
         """A closed mesh of the piece; a sphere as a fine icosphere."""

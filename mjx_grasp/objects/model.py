@@ -15,8 +15,8 @@ from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.errors import InputError
-from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.objects.catalogue import ObjectInfo, load_catalogue
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
@@ -52,6 +52,43 @@ class ObjectModel:
     """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
 
 
+def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
+    """The mesh of an object in its own frame [m]: its scan, or the parametric stand-in.
+
+    Args:
+        name: A name of the catalogue.
+        objects_dir: Folder of real scans; the stand-in without one.
+
+    Raises:
+        InputError: An unknown name.
+        FileError: The scan is missing or unusable.
+    """
+    info = _info(name)
+    if objects_dir is None:
+        return stand_in(info.scan_of, info.scale)
+    return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale)
+
+
+def has_scan(name: str, objects_dir: Path) -> bool:
+    """Whether a folder holds a scan of an object.
+
+    Raises:
+        InputError: An unknown name.
+    """
+    try:
+        find_scan(objects_dir, _info(name).scan_names)
+    except FileError:
+        return False
+    return True
+
+
+def _info(name: str) -> ObjectInfo:
+    catalogue = load_catalogue()
+    if name not in catalogue:
+        raise InputError("object", name, f"one of {', '.join(catalogue)}")
+    return catalogue[name]
+
+
 def load_object(
     name: str, objects_dir: Path | None = None, cache_dir: Path | None = None
 ) -> ObjectModel:
@@ -66,8 +103,8 @@ def load_object(
         InputError: An unknown name.
         FileError: The scan is missing or unusable.
     """
-    mesh = _mesh(name, objects_dir)
-    mass = load_catalogue()[name].mass
+    mesh = object_mesh(name, objects_dir)
+    mass = _info(name).mass
     com, inertia = mass_properties(mesh, mass)
     digest = _content_hash(mesh)
     entry = _cache_entry(digest, cache_dir)
@@ -88,7 +125,7 @@ def load_objects(
 
     Says which of them are collided with well outside their surface.
     """
-    meshes = (_mesh(n, objects_dir) for n in names)
+    meshes = (object_mesh(n, objects_dir) for n in names)
     missing = sum(not _cache_entry(_content_hash(m), cache_dir).exists() for m in meshes)
     console = Console(stderr=True)
     with counting_progress(console if missing else None, transient=True) as progress:
@@ -113,18 +150,7 @@ def stand_in_hash(name: str) -> str:
     Args:
         name: A name of the catalogue.
     """
-    return _content_hash(_mesh(name, None))
-
-
-def _mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
-    catalogue = load_catalogue()
-    if name not in catalogue:
-        raise InputError("object", name, f"one of {', '.join(catalogue)}")
-    info = catalogue[name]
-    if objects_dir is None:
-        return stand_in(info.scan_of, info.scale)
-    mesh, _ = read_mesh(find_scan(objects_dir, info.scan_names))
-    return centred(mesh, info.scale)
+    return _content_hash(object_mesh(name, None))
 
 
 def _content_hash(mesh: trimesh.Trimesh) -> str:

@@ -9,33 +9,37 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from mjx_grasp.objects.convex import Piece
+from mjx_grasp.records.settings import Count, NonNegative, Settings, Share
 
 
 @dataclass(frozen=True)
-class RestingConfig:
+class RestingConfig(Settings):
     """Which resting poses count, and how many."""
 
-    min_probability: float = 0.03
-    max_poses: int = 12  # a can on its side alone takes about eight
-    min_margin: float = 0.0015  # m, from the centre of mass's foot to the edge of the support
-    merge_angle: float = 0.44  # rad: resting directions closer than this are one pose
-    touching: float = 0.0002  # m: points this close to a facet's plane support it
-    same_face: float = 0.06  # rad: facets this close are one face, whose corners the hull has cut
+    min_probability: Share = 0.03
+    """of coming to rest like this [-]"""
+    max_poses: Count = 12
+    """at most; a can on its side alone takes about eight [-]"""
+    min_margin: NonNegative = 0.0015
+    """from the centre of mass's foot to the edge of the support [m]"""
+    merge_angle: NonNegative = 0.44
+    """resting directions closer than this are one pose [rad]"""
+    touching: NonNegative = 0.0002
+    """points this close to a facet's plane support it [m]"""
+    same_face: NonNegative = 0.06
+    """facets this close are one face, whose corners the hull has cut [rad]"""
 
 
 @dataclass(frozen=True)
 class RestingPose:
-    """A pose in which the object rests on the table z = 0.
-
-    Attributes:
-        quat: Object to world, w-x-y-z; the least rotation that puts the facet down (yaw is free).
-        height: World z of the object frame's origin, m.
-        probability: Of coming to rest like this after a slow, random drop.
-    """
+    """A pose in which the object rests on the table z = 0."""
 
     quat: Float[np.ndarray, "4"]
+    """object to world, w-x-y-z; the least rotation that puts the facet down (yaw is free)"""
     height: float
+    """world z of the object frame's origin [m]"""
     probability: float
+    """of coming to rest like this after a slow, random drop [-]"""
 
 
 def resting_poses(

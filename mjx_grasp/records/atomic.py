@@ -103,8 +103,3 @@ def write_json(path: str | Path, content: Any) -> None:
     """Writes JSON, whole or not at all; paths and the like become text."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1, default=str) + "\n")
-
-
-def as_json(content: Any) -> Any:
-    """What a file of JSON gives back of the content; paths and the like become text."""
-    return json.loads(json.dumps(content, default=str))

@@ -217,8 +217,8 @@ def _expected(hint: Any, value: Any) -> str | None:
         return _expected_number(bare, limits or [Range(finite=False)], value)
     if origin is tuple:
         wrong = _expected_values(arguments, value)
-    elif isinstance(bare, type) and not isinstance(value, bare):
-        wrong = "None" if bare is type(None) else f"a {bare.__name__}"
+    elif isinstance(kind := origin or bare, type) and not isinstance(value, kind):
+        wrong = "None" if kind is type(None) else f"a {kind.__name__}"
     else:
         wrong = None
     return wrong or next((str(limit) for limit in limits if not limit.holds(value)), None)

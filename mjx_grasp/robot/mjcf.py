@@ -39,6 +39,7 @@ from jaxtyping import Int
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.robot.spec import RobotSpec
 
 HAND_BIT = 1
@@ -311,11 +312,11 @@ def joint_columns(spec: RobotSpec) -> Int[np.ndarray, " n"]:
 
 
 @dataclass(frozen=True)
-class RebuildConfig:
+class RebuildConfig(CommandSettings):
     """Rewrites the shipped MJCF from the shipped facts."""
 
     out: Path | None = None
-    """Where to write; over the shipped file by default."""
+    """where to write; over the shipped file by default"""
 
 
 def main(config: RebuildConfig) -> None:

@@ -17,6 +17,7 @@ import tyro
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.robot.identity import RobotIdentity
 from mjx_grasp.robot.reading import Section
 
@@ -310,11 +311,11 @@ def _check_posture(
 
 
 @dataclass(frozen=True)
-class CheckConfig:
+class CheckConfig(CommandSettings):
     """Checks a robot description and prints what it says."""
 
     description: tyro.conf.Positional[str] = "rizon4_hx5d20"
-    """Name of a shipped description, or a description file."""
+    """name of a shipped description, or a description file"""
 
 
 def main(config: CheckConfig) -> None:

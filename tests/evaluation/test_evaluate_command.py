@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from mjx_grasp import evaluate as module
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation import job as module
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import chosen_states
@@ -17,6 +18,10 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M
+
+
+def evaluate(config):
+    return module.evaluate_to_file(config, Console(quiet=True))
 
 
 @pytest.mark.parametrize(
@@ -51,7 +56,7 @@ def test_the_largest_errors_of_a_start_are_allowed():
 def test_objects_without_states_are_refused_before_the_scene(monkeypatch):
     monkeypatch.setattr(module, "build_scene_of", None)
     with pytest.raises(InputError, match=r"--objects: found 'bowl'.*foam_brick"):
-        module.main(EvaluateConfig(out=Path("x.json"), objects=("bowl",)))
+        evaluate(EvaluateConfig(out=Path("x.json"), objects=("bowl",)))
 
 
 def test_an_object_needs_states_in_the_chosen_part():
@@ -113,13 +118,13 @@ def test_policies_of_another_task_or_robot_are_refused_by_name(monkeypatch, chan
     path = Path("foreign.npz")
     change(load_policy(asset_path("policy.npz"))).save(path)
     with pytest.raises(FileError, match=rf"foreign\.npz: .*{text}"):
-        module.main(EvaluateConfig(out=Path("x.json"), objects=("foam_brick",), policy=path))
+        evaluate(EvaluateConfig(out=Path("x.json"), objects=("foam_brick",), policy=path))
 
 
 def test_the_shipped_policy_is_evaluated_and_named():
     policy, handoffs = asset_path("policy.npz"), asset_path("handoffs_standins.npz")
     out, condition = Path("policy.json"), {"objects": ("foam_brick",), "episodes": 2}
-    module.main(EvaluateConfig(out, "policy", policy=policy, handoffs=handoffs, **condition))
+    evaluate(EvaluateConfig(out, "policy", policy=policy, handoffs=handoffs, **condition))
     results = read_results(out)
     (row,) = results.rows
     assert (row.object, row.controller, row.engine) == ("foam_brick", "policy", "mujoco")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mjx_grasp.evaluate import main
 from mjx_grasp.evaluation import run as module
 from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.job import evaluate_to_file
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.trials import Trials, incidents
@@ -96,7 +96,8 @@ def test_the_command_warns_on_stderr_and_keeps_the_totals(
     trials = trials_of(3, overflow_ticks, broken)
     monkeypatch.setattr(module, "run_trials", lambda *_: trials)
     out = tmp_path / "results.json"
-    main(EvaluateConfig(out=out, controller="squeeze", objects=("foam_brick",), episodes=3))
+    config = EvaluateConfig(out=out, controller="squeeze", objects=("foam_brick",), episodes=3)
+    evaluate_to_file(config, Console(stderr=True))
     shown = capsys.readouterr()
     for text in expected:
         assert f"foam_brick: {text}" in shown.err

@@ -10,12 +10,12 @@ import pytest
 from typed import refusal
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.reach.config import SweepConfig
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, draw_poses
 from mjx_grasp.evaluation.reach.results import FAILURES, PAPER_RATE, classify, summary
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.presets import PRESETS, for_sweep, preset
-from mjx_grasp.sweep_reach import SweepConfig
 
 
 def test_poses_are_of_the_distribution():

@@ -11,9 +11,9 @@ from mjx_grasp import train as command
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import InputError
 from mjx_grasp.tasks import assemble
-from mjx_grasp.train import parse
 from mjx_grasp.training import config as config_module
 from mjx_grasp.training import job
+from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.config import preset_config
 
 

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from typed import refusal
 
-from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
 from mjx_grasp.language.camera import PinholeCamera
 from mjx_grasp.language.grounding import target_of
-from mjx_grasp.viz.viewer_state import Settings
+from mjx_grasp.viz.viewer_state import ViewerSettings
+from mjx_grasp.viz.viewing import check_host
 
 SIZE = {"width": 1000, "height": 700}
 FLAGS = [
@@ -61,7 +62,7 @@ def viewer(stored):
     need_viser()
     from mjx_grasp.viz.viewer import Viewer
 
-    made = Viewer(*stored, Settings(anchor=(0.0, 0.0, 0.0)), port=free_port())
+    made = Viewer(*stored, ViewerSettings(anchor=(0.0, 0.0, 0.0)), port=free_port())
     yield made
     made.close()
 
@@ -221,19 +222,20 @@ def test_the_command_serves_and_ends(stored, tmp_path):
         (["none.npz"], "no such file"),
         (["none.obj", "--port", "0"], "--port"),
         (["none.obj", "--sigma", "0"], "sigma"),
+        (["none.obj", "--triples", "9"], "1 to 8"),
+        (["none.obj", "--host", "999.1.1.1"], "--host: found '999.1.1.1'"),
+        (["none.obj", "--host", "192.0.2.1"], "an address of this machine"),
     ],
 )
 def test_mistakes_are_refused(arguments, text, monkeypatch, capsys):
-    import tyro
-
-    from mjx_grasp.view import ViewConfig, main
-
     need_viser()
-    monkeypatch.setattr(sys, "argv", ["view", *arguments])
-    with pytest.raises(SystemExit) as end:
-        run_command(lambda: main(tyro.cli(ViewConfig)))
-    assert end.value.code == 2
-    assert text in capsys.readouterr().err
+    status, error = refusal(monkeypatch, capsys, "view", *arguments)
+    assert status == 2 and text in error
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "localhost"])
+def test_addresses_of_this_machine_can_be_served_on(host):
+    check_host(host)
 
 
 def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):

@@ -5,7 +5,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap import Heatmap, steer
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.files import TERMS
-from mjx_grasp.viz.viewer_state import Settings, show
+from mjx_grasp.viz.viewer_state import ViewerSettings, show
 
 
 def plate():
@@ -34,7 +34,7 @@ PLATE = plate()
 
 
 def test_without_an_anchor_the_default_heatmap_is_shown():
-    shown = show(PLATE, Settings())
+    shown = show(PLATE, ViewerSettings())
     assert np.array_equal(shown.score, PLATE.score)
     assert np.allclose(shown.triples.thumb[0], [0, 0, 0.015])
     assert shown.best == pytest.approx(0.8)
@@ -42,7 +42,7 @@ def test_without_an_anchor_the_default_heatmap_is_shown():
 
 @pytest.mark.parametrize("anchor", [(0.06, -0.03, 0.0), (-0.08, 0.08, 0.3)])
 def test_scores_colours_and_triple_follow_the_anchor(anchor):
-    shown = show(PLATE, Settings(anchor, sigma=0.02))
+    shown = show(PLATE, ViewerSettings(anchor, sigma=0.02))
     assert np.allclose(shown.score, steer(PLATE, np.float32(anchor), 0.02))
     assert np.allclose(shown.triples.thumb[0, :2], anchor[:2], atol=1e-6)
     yellow = np.argmax(shown.colours.astype(int).sum(axis=1))
@@ -51,15 +51,15 @@ def test_scores_colours_and_triple_follow_the_anchor(anchor):
 
 def test_a_wider_sigma_colours_more():
     counts = [
-        (show(PLATE, Settings((0.0, 0.0, 0.0), sigma=s)).colours[:, 1] > 120).sum()
+        (show(PLATE, ViewerSettings((0.0, 0.0, 0.0), sigma=s)).colours[:, 1] > 120).sum()
         for s in (0.01, 0.03, 0.06)
     ]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_the_scale_ends_at_the_best_score_or_at_one():
-    best = show(PLATE, Settings(to_best=True))
-    fixed = show(PLATE, Settings(to_best=False))
+    best = show(PLATE, ViewerSettings(to_best=True))
+    fixed = show(PLATE, ViewerSettings(to_best=False))
     middle = int(np.argmax(PLATE.score))
     assert (best.top, fixed.top) == (pytest.approx(0.8), 1.0)
     assert np.array_equal(best.colours[middle], score_colours(np.array([1.0]))[0])
@@ -67,29 +67,29 @@ def test_the_scale_ends_at_the_best_score_or_at_one():
 
 
 def test_triples_are_apart_and_as_many_as_asked_for():
-    shown = show(PLATE, Settings((0.0, 0.0, 0.0), triples=6))
+    shown = show(PLATE, ViewerSettings((0.0, 0.0, 0.0), triples=6))
     thumbs = shown.triples.thumb
     gap = np.linalg.norm(thumbs[:, None] - thumbs, axis=2) + np.eye(6)
     assert shown.triples.valid.all() and gap.min() >= 0.02 - 1e-6
 
 
 def test_in_words():
-    text = show(PLATE, Settings((0.06, -0.03, 0.0))).describe()
+    text = show(PLATE, ViewerSettings((0.06, -0.03, 0.0))).describe()
     assert text == (
         "score 0.800, thumb (60.0, -30.0, 15.0), "
         "index and middle (75.0, -30.0, -15.0) and (45.0, -30.0, -15.0) mm"
     )
     nothing = PLATE._replace(valid=np.zeros_like(PLATE.valid), score=0 * PLATE.score)
-    assert show(nothing, Settings()).describe() == "no grasp"
+    assert show(nothing, ViewerSettings()).describe() == "no grasp"
 
 
 @pytest.mark.parametrize(("field", "value"), [("sigma", 0.0), ("triples", 0)])
 def test_settings_that_cannot_work_are_refused(field, value):
     with pytest.raises(InputError, match=field):
-        Settings(**{field: value})
+        ViewerSettings(**{field: value})
 
 
 def test_between_the_contacts_is_stricter_than_in_line():
     above = (0.0, 0.0, 0.1)
-    line, near = (show(PLATE, Settings(above, between_contacts=b)) for b in (False, True))
+    line, near = (show(PLATE, ViewerSettings(above, between_contacts=b)) for b in (False, True))
     assert line.best > 0.7 and near.best < 0.01

@@ -10,7 +10,7 @@ from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.trajectory import Trajectory, record, save_trajectory
-from mjx_grasp.viz import frames, video
+from mjx_grasp.viz import frames, rendering
 from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
 
 XML = """
@@ -94,7 +94,7 @@ def test_the_command_renders_without_a_display(stored, tmp_path):
 
 
 def test_without_a_renderer_the_error_says_how_to_get_one(stored, tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "BACKENDS", ("egl",))
+    monkeypatch.setattr(rendering, "BACKENDS", ("egl",))
     # EGL finds its drivers by these files: with an empty list there is none.
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", str(tmp_path / "none.json"))
     with pytest.raises(RenderError, match=r"no renderer.*egl: .+apt-get install libegl1"):
@@ -105,13 +105,13 @@ def test_without_a_renderer_the_error_says_how_to_get_one(stored, tmp_path, monk
 def test_a_backend_that_fails_is_followed_by_the_next(stored, tmp_path, monkeypatch):
     rendered(VideoConfig(stored, tmp_path / "egl.png", width=32, height=32, fps=2))
     tried = []
-    real = video._try_backend
+    real = rendering._try_backend
 
     def first_fails(config, backend, timeout_s):
         tried.append(backend)
         return "broken" if len(tried) == 1 else real(config, "egl", timeout_s)
 
-    monkeypatch.setattr(video, "_try_backend", first_fails)
+    monkeypatch.setattr(rendering, "_try_backend", first_fails)
     render_in_subprocess(VideoConfig(stored, tmp_path / "next.png", width=32, height=32, fps=2))
     assert tried == ["egl", "osmesa"] and (tmp_path / "next.png").is_file()
 

@@ -32,7 +32,7 @@ from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.presets import for_sweep, preset
+from mjx_grasp.reaching.presets import for_sweep, reach_preset
 from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
@@ -140,7 +140,7 @@ def osqp_row(problems: QP, exact: np.ndarray, ok: np.ndarray) -> dict[str, Any] 
 
 def drawn(name: str, config: QpBenchmarkConfig) -> tuple[QP, WarmStart]:
     """Problems of a preset's reaches."""
-    settings = for_sweep(preset(name))
+    settings = for_sweep(reach_preset(name))
     reacher = Reacher(robot_body(load_robot()), settings.reach, settings.selection)
     poses = draw_poses(config.poses, config.seed)
     plans = None

@@ -38,7 +38,7 @@ from mjx_grasp.grasp import select, standoffs
 from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.presets import ReachPreset, for_sweep, preset
+from mjx_grasp.reaching.presets import ReachPreset, for_sweep, reach_preset
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Range, Seed, Several
@@ -292,7 +292,7 @@ def main(config: ReachBenchmarkConfig) -> None:
 
     few = jax.tree.map(lambda leaf: leaf[: config.reaches], poses)
     for name in ("paper", "default"):
-        settings = for_sweep(preset(name))
+        settings = for_sweep(reach_preset(name))
         reacher = Reacher(body, settings.reach, settings.selection)
         plans, planning_s = plans_of(settings, reacher, poses, config.reaches)
         for worlds in config.worlds:

@@ -1,6 +1,6 @@
 """A training with a reward term of your own, logged by its name.
 
-    python examples/own_reward.py FOLDER [ITERATIONS]
+    python examples/own_reward.py FOLDER [ITERATIONS [WORLDS]]
 
 Trains on a stand-in of the Rubik's cube in native MuJoCo; two minutes with the default of 20
 iterations, too few to learn much. `FOLDER/metrics.csv` has a column `reward/gentle`.
@@ -11,21 +11,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.tasks.rewards import Moment, RewardTerm
 from mjx_grasp.training.config import preset_config
-from mjx_grasp.training.job import train
+from mjx_grasp.training.job import run_training
 
 
-def pressing(moment: Moment):
+def pressing(moment: Moment) -> Float[Array, "*b"]:
     """How much harder than 3 N the fingers press, mean over the fingers [N]."""
     force = jnp.linalg.norm(moment.truth.finger_force, axis=-1)
     return jnp.mean(jnp.maximum(force - 3.0, 0.0), axis=-1)
 
 
-def main(folder: Path, iterations: int = 20) -> None:
+def main(folder: Path, iterations: int = 20, worlds: int = 128) -> None:
     """Trains with the published rewards and a price on pressing hard."""
     config = preset_config("cpu")
     config = replace(
@@ -33,9 +34,9 @@ def main(folder: Path, iterations: int = 20) -> None:
         out=folder,
         handoffs=asset_path("handoffs_standins.npz"),
         evaluation_episodes=0,
-        ppo=replace(config.ppo, iterations=iterations),
+        ppo=replace(config.ppo, iterations=iterations, worlds=worlds),
     )
-    train(config, Console(stderr=True), extra_terms=(RewardTerm("gentle", -0.2, pressing),))
+    run_training(config, Console(stderr=True), extra_terms=(RewardTerm("gentle", -0.2, pressing),))
 
 
 if __name__ == "__main__":

@@ -49,7 +49,6 @@ from mjx_grasp.reaching import (
     Planner,
     Reacher,
     Surroundings,
-    preset,
     robot_body,
     start_library,
 )
@@ -191,7 +190,7 @@ def _drawn_poses(model: ObjectModel, config: RouteConfig) -> Poses:
 
 def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses: Poses) -> Reaches:
     """Reaches from home by the default controller, its commands integrated."""
-    body, settings = robot_body(robot), preset("default")
+    body, settings = robot_body(robot), reach_preset("default")
     assert settings.plan is not None
     selection = replace(settings.selection, min_score=_LEAST_SCORE)
     reacher = Reacher(body, settings.reach, selection)

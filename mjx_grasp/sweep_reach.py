@@ -22,11 +22,11 @@ def main() -> None:
         # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
         from mjx_grasp.evaluation.reach.results import failure_line, rate_table, residual_table
         from mjx_grasp.evaluation.reach.run import run_sweep
-        from mjx_grasp.reaching.presets import for_sweep, preset
+        from mjx_grasp.reaching.presets import for_sweep, reach_preset
         from mjx_grasp.robot.spec import load_robot
 
     console = Console()
-    settings, robot = for_sweep(preset(config.preset)), load_robot(config.robot)
+    settings, robot = for_sweep(reach_preset(config.preset)), load_robot(config.robot)
     run = run_sweep(
         robot,
         settings,

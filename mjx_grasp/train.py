@@ -15,12 +15,12 @@ def main() -> None:
         from rich.console import Console
 
         from mjx_grasp.training.command_line import parse
-        from mjx_grasp.training.job import train
+        from mjx_grasp.training.job import run_training
         from mjx_grasp.viz.report import report_run
 
         console, config = Console(stderr=True), parse(sys.argv[1:], __doc__)
 
-    folder = train(config, console)
+    folder = run_training(config, console)
     if config.evaluation_episodes:
         report_run(folder, console)
 

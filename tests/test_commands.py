@@ -25,7 +25,7 @@ from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.config import preset_config, stored_config
-from mjx_grasp.training.job import train
+from mjx_grasp.training.job import run_training
 
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
@@ -88,8 +88,8 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(trained, tmp_path, mo
     monkeypatch.setattr(job, "_build", lambda *_: None)
     monkeypatch.setattr(job, "_run", lambda *_: None)
     monkeypatch.setattr(job, "_made_handoffs", lambda *_: None)
-    train(config, Console(quiet=True))
-    train(stored_config(run), Console(quiet=True))
+    run_training(config, Console(quiet=True))
+    run_training(stored_config(run), Console(quiet=True))
     states.write_bytes(asset_path("handoffs_standins.npz").read_bytes())
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
@@ -198,7 +198,7 @@ def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monke
         handoffs=asset_path("handoffs_standins.npz"),
         out=tmp_path / "run",
     )
-    train(asked, Console(quiet=True))
+    run_training(asked, Console(quiet=True))
     places = {part: {tuple(p) for p in states.object_pos} for part, states in seen.items()}
     assert not places["training"] & places["evaluation"]
     assert len(seen["training"]) + len(seen["evaluation"]) == len(stored.select(names))
@@ -207,7 +207,7 @@ def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monke
 def refused(config, *, match):
     """A training that ends before there is a folder of its own."""
     with pytest.raises(MjxGraspError, match=match):
-        train(replace(config, out=Path("run")), Console(quiet=True))
+        run_training(replace(config, out=Path("run")), Console(quiet=True))
     assert not Path("run").exists()
 
 
@@ -234,7 +234,7 @@ def test_an_interrupted_run_says_how_to_continue(monkeypatch):
     config = replace(preset_config("cpu"), out=Path("a run"))
     expected = "iteration 3; continue with: python -m mjx_grasp.train --resume 'a run'"
     with pytest.raises(KeyboardInterrupt, match=expected):
-        train(config, Console(quiet=True))
+        run_training(config, Console(quiet=True))
 
 
 def test_help_of_the_preset_says_how_it_is_chosen(capsys, monkeypatch):

@@ -1,10 +1,17 @@
-"""Every public name of the package can be used, and an unknown one is refused as usual."""
+"""The public face: names can be used, type checkers see the same ones, importing costs nothing."""
 
 from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 import mjx_grasp
+
+SOURCE = Path(mjx_grasp.__file__).read_text()
 
 
 @pytest.mark.parametrize("name", mjx_grasp.__all__)
@@ -12,6 +19,53 @@ def test_public_name_exists(name: str) -> None:
     assert getattr(mjx_grasp, name) is not None
 
 
+def test_type_checkers_see_what_is_loaded() -> None:
+    """The imports under TYPE_CHECKING are the table of names, no more and no less."""
+    (block,) = (n for n in ast.parse(SOURCE).body if isinstance(n, ast.If))
+    seen = {
+        alias.asname: f"mjx_grasp.{statement.module.removeprefix('mjx_grasp.')}"
+        for statement in block.body
+        for alias in statement.names
+    }
+    assert seen == {name: f"mjx_grasp.{module}" for name, module in mjx_grasp._PUBLIC.items()}
+
+
+def test_editors_are_told_the_names() -> None:
+    assert set(mjx_grasp.__all__) <= set(dir(mjx_grasp))
+
+
+def test_no_name_is_that_of_a_module() -> None:
+    """A command of the same name would take its place as soon as somebody imports that."""
+    modules = {path.stem for path in Path(mjx_grasp.__file__).parent.iterdir()}
+    assert not modules & set(mjx_grasp._PUBLIC)
+
+
+def test_a_type_checker_knows_the_types(tmp_path: Path) -> None:
+    pytest.importorskip("mypy")
+    script = tmp_path / "script.py"
+    script.write_text("import mjx_grasp\nreveal_type(mjx_grasp.load_robot)\nmjx_grasp.grasp_it\n")
+    said = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mypy",
+            "--ignore-missing-imports",
+            "--follow-imports=silent",
+            script,
+        ],
+        capture_output=True,
+        text=True,
+    ).stdout
+    assert "RobotSpec" in said and 'has no attribute "grasp_it"' in said, said
+
+
+def test_importing_starts_nothing_and_prints_nothing() -> None:
+    heavy = {"jax", "mujoco", "warp", "numpy"}
+    code = f"import sys, mjx_grasp; sys.exit(bool({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 def test_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'catch'"):
-        _ = mjx_grasp.catch
+    with pytest.raises(AttributeError, match="no attribute 'grasp_it'"):
+        _ = mjx_grasp.grasp_it

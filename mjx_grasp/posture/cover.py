@@ -130,7 +130,7 @@ def cells(points: list[Part]) -> list[list[int]]:
     parts = np.maximum(np.ceil(extent / _CELL), 1).astype(int)
     cell = np.minimum((parts * (at - at.min(axis=0)) / extent).astype(int), parts - 1)
     index = np.ravel_multi_index(tuple(cell.T), tuple(parts))
-    return [list(np.flatnonzero(index == k)) for k in np.unique(index)]
+    return [np.flatnonzero(index == k).tolist() for k in np.unique(index)]
 
 
 def padded(groups: list[list]) -> np.ndarray:

@@ -5,7 +5,7 @@ from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import ReachConfig
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
 from mjx_grasp.reaching.planning import PlanConfig, Planner, plan_again, start_library
-from mjx_grasp.reaching.presets import ReachPreset, preset
+from mjx_grasp.reaching.presets import ReachPreset, reach_preset
 
 __all__ = [
     "ReachOutcome",
@@ -20,7 +20,7 @@ __all__ = [
     "Surroundings",
     "ReachTick",
     "plan_again",
-    "preset",
+    "reach_preset",
     "robot_body",
     "start_library",
 ]

@@ -69,7 +69,7 @@ something, which bounds of the nearest points alone do not rule out; ``default``
 progress stalls, handoff when every tip is near."""
 
 
-def preset(name: str) -> ReachPreset:
+def reach_preset(name: str) -> ReachPreset:
     """Settings by name.
 
     Raises:

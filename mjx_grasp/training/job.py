@@ -38,7 +38,9 @@ _OPENING = ("config.json", "provenance.json")
 """Files that are written when a run is opened."""
 
 
-def train(config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, ...] = ()) -> Path:
+def run_training(
+    config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, ...] = ()
+) -> Path:
     """Runs a training to its end and returns the run's folder.
 
     Args:

@@ -15,7 +15,7 @@ from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, dra
 from mjx_grasp.evaluation.reach.results import FAILURES, PAPER_RATE, classify, summary
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
-from mjx_grasp.reaching.presets import PRESETS, for_sweep, preset
+from mjx_grasp.reaching.presets import PRESETS, for_sweep, reach_preset
 
 
 def test_poses_are_of_the_distribution():
@@ -129,12 +129,12 @@ def test_summary_is_json_with_what_the_tables_show(body):
 
 def test_presets_add_one_thing_after_another():
     assert next(iter(PRESETS)) == "paper" and list(PRESETS)[-1] == "default"
-    assert preset("paper").plan is None and preset("default").plan is not None
+    assert reach_preset("paper").plan is None and reach_preset("default").plan is not None
     assert len({repr(p) for p in PRESETS.values()}) == len(PRESETS)
-    ended = for_sweep(preset("paper")).reach.controller
+    ended = for_sweep(reach_preset("paper")).reach.controller
     assert (ended.fine_timeout, ended.timeout, ended.reselect_late) == (7.0, 15.0, False)
     with pytest.raises(InputError, match="preset"):
-        preset("fast")
+        reach_preset("fast")
 
 
 def _command(*args, cwd, env=None):

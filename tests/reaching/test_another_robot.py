@@ -12,7 +12,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach.run import run_sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.surroundings import placed
-from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.robot.spec import load_robot
 
 POSES = 8
@@ -25,7 +25,7 @@ def description(tmp_path_factory):
 
 @pytest.mark.long
 def test_it_reaches_and_stays_clear(description):
-    settings = preset("default")
+    settings = reach_preset("default")
     settings = replace(settings, plan=replace(settings.plan, library=10_000))
     run = run_sweep(load_robot(description), settings, POSES, seed=5, chunk=POSES)
     assert run.result["rate_percent"]["20"]["3"] >= 75.0

@@ -15,7 +15,7 @@ from mjx_grasp.reaching.command import scaled_back
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.presets import for_sweep, preset
+from mjx_grasp.reaching.presets import for_sweep, reach_preset
 
 ROUNDING = 1e-6
 WORLDS, TICKS = 48, 250
@@ -41,7 +41,7 @@ def _senseless_plan(reacher, p_wo, R_wo, seed):
 
 
 def test_no_guide_takes_the_hand_into_the_object(body):
-    settings = for_sweep(preset("default"))
+    settings = for_sweep(reach_preset("default"))
     reacher = Reacher(body, settings.reach, settings.selection)
     poses = draw_poses(WORLDS, seed=5)
     plans = [_senseless_plan(reacher, poses.p_wo[k], poses.R_wo[k], k) for k in range(WORLDS)]
@@ -77,7 +77,7 @@ def test_no_guide_takes_the_hand_into_the_object(body):
 
 
 def test_a_command_is_scaled_back_to_where_the_clearance_ends(body):
-    config = preset("default").reach
+    config = reach_preset("default").reach
     limits, dt = config.limits, config.controller.dt
     shape = Cylinder(jnp.float32(0.03), jnp.float32(0.08))
     q = jnp.asarray(body.home)
@@ -117,7 +117,7 @@ def test_a_command_is_scaled_back_to_where_the_clearance_ends(body):
 @pytest.mark.long
 def test_reaches_that_rocked_into_the_object(body):
     """Poses in which a link or the palm turned about its nearest point into the object."""
-    settings = for_sweep(preset("default"))
+    settings = for_sweep(reach_preset("default"))
     reacher = Reacher(body, settings.reach, settings.selection)
     rows = np.array([424, 1832, 2504, 1550, 1290])
     poses = jax.tree.map(lambda leaf: leaf[rows], draw_poses(2752, 2752))

@@ -13,7 +13,7 @@ from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import programme
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
-from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.presets import reach_preset
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.08))
 NONE = jnp.zeros((0, 4))
@@ -34,7 +34,7 @@ def pressed(body):
 
 def _tick(body, name, p, R):
     """One tick of each state: what it did and solved, distances before and after it, [m]."""
-    settings = preset(name)
+    settings = reach_preset(name)
     reacher = Reacher(body, settings.reach, settings.selection)
     candidates = cylinder_candidates(SHAPE.radius, SHAPE.half_length, body.robot.hand.span)
     q = jnp.asarray(body.home)
@@ -79,7 +79,7 @@ def test_an_infeasible_tick_that_escapes_is_counted_and_makes_nothing_worse(body
     moving = infeasible & (np.abs(done.velocity).max(axis=1) > 0)
     assert moving.sum() >= 3
     # A row that is violated may not be violated more, by the programme and as the robot moves.
-    config = preset("default").reach
+    config = reach_preset("default").reach
     rate = np.einsum("wmj,wj->wm", problem.A, done.velocity)
     violated = before < safe
     tolerance = config.solver.feasible

@@ -20,7 +20,7 @@ from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome, is_ready
 from mjx_grasp.reaching.planning import Planner, start_library
-from mjx_grasp.reaching.presets import for_sweep, preset
+from mjx_grasp.reaching.presets import for_sweep, reach_preset
 from mjx_grasp.robot.spec import load_robot
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
@@ -203,7 +203,7 @@ def test_a_mesh_is_reached_for_by_its_distance_grid(body):
     )
     field = jax.tree.map(jnp.asarray, distance_field(mesh.vertices, mesh.faces))
     candidates = from_heatmap(heatmap, count=256)
-    settings = for_sweep(preset("default"))
+    settings = for_sweep(reach_preset("default"))
     reacher = Reacher(body, settings.reach, settings.selection)
     plan = replace(settings.plan, library=8000, starts=StartConfig(near=256, count=16))
     centre = jnp.asarray([0.5, -0.15, -float(mesh.bounds[0, 2])])

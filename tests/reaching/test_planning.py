@@ -19,7 +19,7 @@ from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import Tracked, follow, track
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 
@@ -28,7 +28,7 @@ COUNT = 6
 
 @pytest.fixture(scope="module")
 def planned(body):
-    settings = preset("default")
+    settings = reach_preset("default")
     reacher = Reacher(body, settings.reach, settings.selection)
     plan = replace(settings.plan, library=8000, starts=StartConfig(near=256, count=16))
     poses = draw_poses(COUNT, seed=21)

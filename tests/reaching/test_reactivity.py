@@ -14,7 +14,7 @@ from mjx_grasp.grasp import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
 from mjx_grasp.reaching.planning import Planner, plan_again, start_library
-from mjx_grasp.reaching.presets import preset
+from mjx_grasp.reaching.presets import reach_preset
 
 # Long runs compute as much as they compile: a little more of XLA's work than in the other tests.
 OPTIMISED = {"xla_backend_optimization_level": 1}
@@ -58,7 +58,7 @@ def run(request, runs):
 
 def _run(name, body):
     """All scenarios of all objects: ticks of ``[scenario, object, time, …]``."""
-    settings = preset(name)
+    settings = reach_preset(name)
     config = settings.reach
     never = replace(
         config.controller,

@@ -63,7 +63,7 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
         import mujoco
     except Exception as error:  # a missing library surfaces as one of several types
         raise BackendError(_first_line(error)) from error
-    model = _load_model(trajectory)
+    model = load_model(trajectory)
     _set_visuals(model, width * _SUPERSAMPLING, height * _SUPERSAMPLING)
     poses = trajectory.qpos[_times(len(trajectory.qpos), trajectory.dt, fps)]
     targets = view.look_at(model, poses, trajectory.focus, fps)
@@ -182,7 +182,12 @@ def _save_gif(
     )
 
 
-def _load_model(trajectory: Trajectory) -> Any:
+def load_model(trajectory: Trajectory) -> Any:
+    """The model of a recorded motion.
+
+    Raises:
+        InputError: It was written by another version of MuJoCo.
+    """
     import tempfile
 
     import mujoco

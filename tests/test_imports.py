@@ -98,3 +98,62 @@ def test_what_goes_against_it_is_found(module, line, name):
 )
 def test_what_follows_it_passes(module, line):
     assert against_the_order(f"mjx_grasp.{module}", line) == set()
+
+
+def reached(module: str) -> set[str]:
+    """A module, what it imports, what that imports, and so on, within the project."""
+    found, open_ends = set(), {module}
+    while open_ends:
+        name = open_ends.pop()
+        found.add(name)
+        parents = {name.rsplit(".", k)[0] for k in range(1, name.count("."))}  # run before it
+        open_ends |= (imported(SOURCES[name]) | parents) - found - {"mjx_grasp"}
+    return found
+
+
+def names(text: str) -> set[str]:
+    """Every name that a source defines, imports or uses, comments and strings apart."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        for part in ("id", "attr", "name"):
+            if isinstance(name := getattr(node, part, None), str):
+                found.add(name)
+    return found
+
+
+def within(*packages: str) -> list[str]:
+    return [m for m in SOURCES if m.split(".")[1:2] and m.split(".")[1] in packages]
+
+
+def test_control_laws_reach_nothing_that_only_a_simulator_knows():
+    """No `Truth` in a controller nor in whatever it is made of."""
+    privileged = {m for m, text in SOURCES.items() if "Truth" in names(text)}
+    assert "mjx_grasp.sim.physics" in privileged and "mjx_grasp.tasks.rewards" in privileged
+    for module in within("closing", "reaching", "grasp", "posture", "robot"):
+        assert reached(module) & privileged == set(), module
+
+
+def test_learner_and_evaluation_know_no_task_by_name():
+    for module in (*within("learning", "training"), "mjx_grasp.evaluation.trials"):
+        found = names(SOURCES[module])
+        assert not found & {"ClosingTask", "ClosingTaskConfig", "ClosingState"}, module
+        assert "mjx_grasp.tasks.closing" not in imported(SOURCES[module]), module
+
+
+def calls_without_arguments(text: str, function: str) -> list[int]:
+    """The lines in which a function is called with nothing in its brackets."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call)
+        and function in (getattr(node.func, "id", None), getattr(node.func, "attr", None))
+        and not node.args
+        and not node.keywords
+    ]
+
+
+def test_nothing_in_the_package_takes_a_robot_of_its_own():
+    """The robot is an argument: which one it is, is said at the top."""
+    assert calls_without_arguments("spec.load_robot()\nload_robot(name)", "load_robot") == [1]
+    for module, text in SOURCES.items():
+        assert calls_without_arguments(text, "load_robot") == [], module

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control
 from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
@@ -74,6 +75,9 @@ class ClosingTask:
         noise: What resets draw.
         with_privileged: Whether observations hold `privileged_state` for the critic.
         extra_terms: Reward terms beside those of the publication.
+
+    Raises:
+        InputError: Two reward terms have one name.
     """
 
     def __init__(
@@ -90,6 +94,8 @@ class ClosingTask:
         self.closer = Closer.of(physics.scene.robot, self.config)
         self.terms = (*closing_terms(self.config.reward), *extra_terms)
         self.reward_names = tuple(term.name for term in self.terms)
+        if len(set(self.reward_names)) < len(self.terms):
+            raise InputError("extra_terms", ", ".join(self.reward_names), "another name for each")
         self.action_size = self.closer.action_size
         self.control_dt = self.config.control_dt
         self.episode_ticks = self.config.episode_ticks

@@ -33,15 +33,14 @@ def ppo(iterations=2, **changes):
     return PPOConfig(**(values | changes))
 
 
-def make_env(worlds=4, stagger=True):
+def make_env(worlds=4, stagger=True, extra_terms=()):
     """One box, native engine, episodes of ten ticks, so that resets happen in every rollout."""
     scene, handoffs = handmade.box_handoffs_scene()
     physics = NativePhysics(scene, threads=1)
-    config, starts = (
-        ClosingTaskConfig(episode_s=0.1),
-        build_starts(scene, handoffs, physics.substeps),
-    )
-    return BraxTask(ClosingTask(physics, starts, config, StartNoise()), worlds, stagger)
+    starts = build_starts(scene, handoffs, physics.substeps)
+    config = ClosingTaskConfig(episode_s=0.1)
+    task = ClosingTask(physics, starts, config, StartNoise(), extra_terms=extra_terms)
+    return BraxTask(task, worlds, stagger)
 
 
 def parameters(state):

@@ -57,7 +57,7 @@ class ResultRow:
     """Trial by trial a letter of `OUTCOMES`, in the order in which the seed draws the starts; empty
     where it was not kept."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         counts = {n: getattr(self, n) for n in OUTCOMES}
         if self.episodes < 1 or min(counts.values()) < 0:
             raise InputError("episodes", (self.episodes, counts), "a positive number and counts")
@@ -104,7 +104,7 @@ class ThroughputRow:
     """Peak of what JAX held on the device [GiB], without the CUDA context and Warp's modules; None
     where it cannot be measured."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("worlds", "objects", "control_steps_per_s"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):

@@ -41,8 +41,8 @@ class MeshTrees:
 
     def __init__(
         self,
-        points: Sequence[Float[np.ndarray, "v 3"]],
-        faces: Sequence[Int[np.ndarray, "f 3"]],
+        points: Sequence[Float[np.ndarray, "_ 3"]],
+        faces: Sequence[Int[np.ndarray, "_ 3"]],
     ):
         load(bvh_kernels)
         if device().is_cpu:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from mjx_grasp.geometry.components import Components, Scalars, components, cross, dot
 from mjx_grasp.geometry.tiles import first_least, map_tiles, tile_for
 from mjx_grasp.geometry.vectors import norm
 
@@ -28,74 +29,93 @@ class ClosestPoints(NamedTuple):
     barycentric: Float[Array, "n 3"]
 
 
-def _ratio(numerator, denominator):
+def _ratio(numerator: Scalars, denominator: Scalars) -> Scalars:
     """A ratio in [0, 1] along an edge; 0 on an edge without length."""
     safe = jnp.where(denominator > 0, denominator, 1.0)
     return jnp.where(denominator > 0, jnp.clip(numerator / safe, 0.0, 1.0), 0.0)
 
 
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _duals(ab, ac):
+def _duals(ab: Components, ac: Components) -> tuple[Components, Components]:
     """Vectors whose inner product with a point, from the corner, is its weight v or w.
 
     ``ac × n / |n|²`` and ``n × ab / |n|²``: on a sliver they lose as many digits as it is longer
     than wide, where the usual quotient of determinants of inner products loses twice as many.
     Zero for a degenerate triangle.
     """
-    normal = _cross(ab, ac)
-    squared = _dot(normal, normal)
+    normal = cross(ab, ac)
+    squared = dot(normal, normal)
     inverse = _inverse(squared)
-    to_v, to_w = _cross(ac, normal), _cross(normal, ab)
+    to_v, to_w = cross(ac, normal), cross(normal, ab)
     return tuple(c * inverse for c in to_v), tuple(c * inverse for c in to_w)
 
 
-def _inverse(squared):
+def _inverse(squared: Scalars) -> Scalars:
     """0 for an edge without length."""
     return jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, squared, 1.0), 0.0)
 
 
-def _squared_distance(p, a, ab, ac, bc, to_v, to_w, inverse_ab, inverse_ac, inverse_bc):
-    """To a triangle, with all that hangs on it alone given: see :func:`_weights`."""
+class _Faces(NamedTuple):
+    """Triangles, and all that hangs on them alone: worked out once, not for every query."""
 
-    def to_edge(from_corner, edge, inverse):
-        along = jnp.clip(_dot(from_corner, edge) * inverse, 0.0, 1.0)
+    a: Components
+    """first corner"""
+    ab: Components
+    ac: Components
+    bc: Components
+    to_v: Components
+    """see :func:`_duals`"""
+    to_w: Components
+    inverse_ab: Scalars
+    """over the squared length"""
+    inverse_ac: Scalars
+    inverse_bc: Scalars
+
+
+def _faces_of(triangles: Float[Array, "f 3 3"]) -> _Faces:
+    corner = triangles[:, 0]
+    ab, ac = (components(triangles[:, k] - corner) for k in (1, 2))
+    bc = tuple(c - b for b, c in zip(ab, ac, strict=True))
+    inverses = (_inverse(dot(e, e)) for e in (ab, ac, bc))
+    return _Faces(components(corner), ab, ac, bc, *_duals(ab, ac), *inverses)
+
+
+def _squared_distance(p: Components, faces: _Faces) -> Scalars:
+    """To a triangle: see :func:`_weights`."""
+    a, ab, ac, bc, to_v, to_w, inverse_ab, inverse_ac, inverse_bc = faces
+
+    def to_edge(from_corner: Components, edge: Components, inverse: Scalars) -> Scalars:
+        along = jnp.clip(dot(from_corner, edge) * inverse, 0.0, 1.0)
         r = tuple(x - along * e for x, e in zip(from_corner, edge, strict=True))
-        return _dot(r, r)
+        return dot(r, r)
 
     ap = tuple(x - y for x, y in zip(p, a, strict=True))
     bp = tuple(x - y for x, y in zip(ap, ab, strict=True))
     edges = jnp.minimum(to_edge(ap, ab, inverse_ab), to_edge(ap, ac, inverse_ac))
     edges = jnp.minimum(edges, to_edge(bp, bc, inverse_bc))
-    v, w = _dot(ap, to_v), _dot(ap, to_w)
+    v, w = dot(ap, to_v), dot(ap, to_w)
     r = tuple(x - v * y - w * z for x, y, z in zip(ap, ab, ac, strict=True))
-    return jnp.where((v > 0) & (w > 0) & (v + w < 1), _dot(r, r), edges)
+    return jnp.where((v > 0) & (w > 0) & (v + w < 1), dot(r, r), edges)
 
 
-def _weights(ap, ab, ac, to_v, to_w):
+def _weights(
+    ap: Components, ab: Components, ac: Components, to_v: Components, to_w: Components
+) -> tuple[Scalars, Scalars]:
     """Barycentric weights (v, w) of the nearest point.
 
     Inside where the projection is, else the nearest of the three edges: that holds for degenerate
-    triangles too, on which a choice by Voronoi regions fails. All arguments are tuples of
-    components, so that everything fuses into one pass.
+    triangles too, on which a choice by Voronoi regions fails.
     """
 
-    def squared_distance(v, w):
+    def squared_distance(v: Scalars, w: Scalars) -> Scalars:
         # Of the remainder vector, not a difference of squares: exact on the surface.
         r = tuple(ap[k] - v * ab[k] - w * ac[k] for k in range(3))
-        return _dot(r, r)
+        return dot(r, r)
 
-    inside_v, inside_w = _dot(ap, to_v), _dot(ap, to_w)
+    inside_v, inside_w = dot(ap, to_v), dot(ap, to_w)
     inside = (inside_v > 0) & (inside_w > 0) & (inside_v + inside_w < 1)
 
-    ab2, ac2, abac = _dot(ab, ab), _dot(ac, ac), _dot(ab, ac)
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    ab2, ac2, abac = dot(ab, ab), dot(ac, ac), dot(ab, ac)
+    d1, d2 = dot(ab, ap), dot(ac, ap)
     along_bc = _ratio((d2 - abac) - (d1 - ab2), ab2 + ac2 - 2.0 * abac)
     v, w = _ratio(d1, ab2), jnp.zeros_like(d1)
     least = squared_distance(v, w)
@@ -108,18 +128,14 @@ def _weights(ap, ab, ac, to_v, to_w):
     return v, w
 
 
-def _components(x):
-    return x[..., 0], x[..., 1], x[..., 2]
-
-
 def closest_on_triangle(
     point: Float[Array, "*batch 3"], triangle: Float[Array, "*batch 3 3"]
 ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
     """The nearest point of a triangle and its barycentric weights; finite on degenerate ones."""
     a = triangle[..., 0, :]
     ab, ac = triangle[..., 1, :] - a, triangle[..., 2, :] - a
-    sides = _components(ab), _components(ac)
-    v, w = _weights(_components(point - a), *sides, *_duals(*sides))
+    sides = components(ab), components(ac)
+    v, w = _weights(components(point - a), *sides, *_duals(*sides))
     nearest = a + v[..., None] * ab + w[..., None] * ac
     return nearest, jnp.stack([1.0 - v - w, v, w], axis=-1)
 
@@ -135,24 +151,10 @@ def closest_on_mesh(
         tile: Queries worked on at once; bounds the memory to ``tile × f`` numbers. As the device
             likes it if None.
     """
-    corner = triangles[:, 0]
-    ab, ac = (_components(triangles[:, k] - corner) for k in (1, 2))
-    bc = tuple(c - b for b, c in zip(ab, ac, strict=True))
-    # Of the faces alone: worked out once, not for every tile or query.
-    faces = jax.lax.optimization_barrier(
-        (
-            _components(corner),
-            ab,
-            ac,
-            bc,
-            *_duals(ab, ac),
-            *(_inverse(_dot(e, e)) for e in (ab, ac, bc)),
-        )
-    )
-    faces = jax.tree.map(lambda x: x[None], faces)
+    faces = jax.tree.map(lambda x: x[None], jax.lax.optimization_barrier(_faces_of(triangles)))
 
-    def nearest_face(point):
-        return first_least(_squared_distance(_components(point[:, None]), *faces))
+    def nearest_face(point: Float[Array, "m 3"]) -> Int[Array, " m"]:
+        return first_least(_squared_distance(components(point[:, None]), faces))
 
     face = map_tiles(nearest_face, (points,), tile or tile_for(triangles.shape[0]))
     return closest_on_face(points, triangles, face)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.tiles import map_tiles, tile_for
 from mjx_grasp.geometry.vectors import dot, unit
@@ -78,18 +78,21 @@ def normal_spread(
     """
     count = min(min_faces, face_areas.shape[0])
 
-    def along(direction):
-        return sum(direction[:, k, None] * face_normals[None, :, k] for k in range(3))
+    def along(direction: Float[Array, "m 3"]) -> Float[Array, "m f"]:
+        each = (direction[:, k, None] * face_normals[None, :, k] for k in range(3))
+        return sum(each, start=jnp.zeros((), direction.dtype))
 
-    def spread(point, normal):
+    def spread(point: Float[Array, "m 3"], normal: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         squared = sum((centroids[None, :, k] - point[:, k, None]) ** 2 for k in range(3))
         alike = (along(normal) > SQUARE) & (face_areas > 0)
         squared = jax.lax.optimization_barrier(jnp.where(alike, squared, jnp.inf))
 
-        def enough(reach):
+        def enough(reach: Float[Array, " m"]) -> Bool[Array, " m"]:
             return jnp.sum(squared <= reach[:, None], axis=1) >= count
 
-        def farther(state):
+        def farther(
+            state: tuple[Float[Array, " m"], Bool[Array, " m"]],
+        ) -> tuple[Float[Array, " m"], Bool[Array, " m"]]:
             reach, _ = state
             beyond = jnp.where(squared > reach[:, None], squared, jnp.inf)
             wider = (1.0 + SAME_DISTANCE) * jnp.min(beyond, axis=1)

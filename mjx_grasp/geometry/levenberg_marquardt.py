@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 # Of the damping: at the start, times this after a step that was taken, after one that was not.
 _START, _FALL, _RISE = 1e-3, 0.3, 5.0
@@ -89,7 +89,7 @@ def minimise(
         iterations: Steps, fixed.
     """
 
-    def evaluated(x) -> _Evaluation:
+    def evaluated(x: Float[Array, " n"]) -> _Evaluation:
         errors, rows, known = linearise(x)
         pulled = pull * (x - reference)
         return _Evaluation(
@@ -100,14 +100,16 @@ def minimise(
             known=known,
         )
 
-    def next_trial(at: _Evaluation, damping):
+    def next_trial(at: _Evaluation, damping: Float[Array, ""]) -> Float[Array, " n"]:
         stuck = (at.x <= lower) & (at.gradient > 0) | (at.x >= upper) & (at.gradient < 0)
         free = jnp.where(stuck, 0.0, 1.0)
         normal = free[:, None] * at.normal * free + jnp.diag(pull**2)
         normal = normal + damping * jnp.diag(jnp.diag(normal) + _FLOOR)
         return jnp.clip(at.x - cho_solve(cho_factor(normal), at.gradient * free), lower, upper)
 
-    def step(_, state):
+    def step(
+        _: Int[Array, ""], state: tuple[_Evaluation, Float[Array, ""], Float[Array, " n"]]
+    ) -> tuple[_Evaluation, Float[Array, ""], Float[Array, " n"]]:
         best, damping, trial = state
         new = evaluated(trial)
         better = new.cost < best.cost

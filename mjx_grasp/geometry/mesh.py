@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -108,7 +109,9 @@ def corner_rows(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ..
     return tuple(np.take(rows, faces[:, k], axis=1, mode="clip") for k in range(3))
 
 
-def dot_rows(a, b) -> np.ndarray:
+def dot_rows(
+    a: Sequence[np.ndarray] | np.ndarray, b: Sequence[np.ndarray] | np.ndarray
+) -> np.ndarray:
     """Inner products of vectors given as rows of x, y and z."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 

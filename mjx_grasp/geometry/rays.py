@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.geometry.components import Components, Scalars, components, cross, dot
 from mjx_grasp.geometry.tiles import first_least, map_tiles, tile_for
 
 # Slack on the barycentric weights: a ray through a shared edge must not slip between its faces
@@ -32,42 +34,34 @@ class RayHits(NamedTuple):
     barycentric: Float[Array, "n 3"]
 
 
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _intersect(origin, direction, corner, edge1, edge2):
-    """Möller–Trumbore of rays and triangles: (hit, t, u, v), void where not hit.
-
-    All arguments are tuples of three components, so that everything fuses into one pass.
-    """
-    p = _cross(direction, edge2)
-    determinant = _dot(edge1, p)
-    normal = _cross(edge1, edge2)
-    squared = _dot(normal, normal) * _dot(direction, direction)
+def _intersect(
+    origin: Components,
+    direction: Components,
+    corner: Components,
+    edge1: Components,
+    edge2: Components,
+) -> tuple[Bool[Array, "*#n"], Scalars, Scalars, Scalars]:
+    """Möller–Trumbore of rays and triangles: (hit, t, u, v), void where not hit."""
+    p = cross(direction, edge2)
+    determinant = dot(edge1, p)
+    normal = cross(edge1, edge2)
+    squared = dot(normal, normal) * dot(direction, direction)
     usable = determinant * determinant > _GRAZING * _GRAZING * squared
     inverse = 1.0 / jnp.where(usable, determinant, 1.0)
     s = tuple(origin[k] - corner[k] for k in range(3))
-    u = _dot(s, p) * inverse
-    q = _cross(s, edge1)
-    v = _dot(direction, q) * inverse
-    t = _dot(edge2, q) * inverse
+    u = dot(s, p) * inverse
+    q = cross(s, edge1)
+    v = dot(direction, q) * inverse
+    t = dot(edge2, q) * inverse
     inside = (u >= -_EDGE_SLACK) & (v >= -_EDGE_SLACK) & (u + v <= 1.0 + _EDGE_SLACK)
     return usable & inside, t, u, v
 
 
-def _components(x):
-    return x[..., 0], x[..., 1], x[..., 2]
-
-
-def _edges(triangles):
+def _edges(triangles: Float[Array, "*n 3 3"]) -> tuple[Components, Components, Components]:
+    """The first corner, and from there to the others."""
     corner = triangles[..., 0, :]
-    sides = corner, triangles[..., 1, :] - corner, triangles[..., 2, :] - corner
-    return tuple(_components(side) for side in sides)
+    first, second = triangles[..., 1, :] - corner, triangles[..., 2, :] - corner
+    return components(corner), components(first), components(second)
 
 
 def farthest_hit(
@@ -89,11 +83,11 @@ def farthest_hit(
         tile: Rays worked on at once; bounds the memory to ``tile × f`` numbers. As the device
             likes it if None.
     """
-    mesh = tuple(tuple(c[None] for c in side) for side in _edges(triangles))
+    mesh = jax.tree.map(lambda x: x[None], _edges(triangles))
 
-    def farthest(origin, direction):
-        origin, direction = (tuple(x[:, k, None] for k in range(3)) for x in (origin, direction))
-        inside, t, _, _ = _intersect(origin, direction, *mesh)
+    def farthest(origin: Float[Array, "m 3"], direction: Float[Array, "m 3"]) -> Int[Array, " m"]:
+        rays = (tuple(x[:, k, None] for k in range(3)) for x in (origin, direction))
+        inside, t, _, _ = _intersect(*rays, *mesh)
         return first_least(jnp.where(inside & (t > min_distance), -t, jnp.inf))
 
     tile = tile or tile_for(triangles.shape[0])
@@ -111,7 +105,7 @@ def hit_on_face(
     """Where each ray meets the face that is named for it; a negative one is no face."""
     named, face = face >= 0, jnp.maximum(face, 0)
     inside, t, u, v = _intersect(
-        _components(origins), _components(directions), *_edges(triangles[face])
+        components(origins), components(directions), *_edges(triangles[face])
     )
     hit = named & inside & (t > min_distance)
     weights = jnp.clip(jnp.stack([1.0 - u - v, u, v], axis=-1), 0.0, 1.0)

@@ -113,7 +113,9 @@ def distance_and_normal(
             return _interpolated(points, shape)
 
 
-def _to_point(offset, radius):
+def _to_point(
+    offset: Float[Array, "*n 3"], radius: Float[Array, ""]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n 3"]]:
     squared = dot(offset, offset)
     known = squared > _SHORT**2
     length = jnp.sqrt(jnp.where(known, squared, 1.0))
@@ -122,7 +124,9 @@ def _to_point(offset, radius):
     return jnp.where(known, length, 0.0) - radius, normal
 
 
-def _rounded(first, second):
+def _rounded(
+    first: Float[Array, "*n"], second: Float[Array, "*n"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
     """Distance from a quarter-plane corner, given distances beyond its two sides, and weights."""
     outside_first, outside_second = jnp.maximum(first, 0.0), jnp.maximum(second, 0.0)
     squared = outside_first**2 + outside_second**2
@@ -135,7 +139,9 @@ def _rounded(first, second):
     return distance, w_first, w_second
 
 
-def _to_cylinder(points, shape):
+def _to_cylinder(
+    points: Float[Array, "*n 3"], shape: Cylinder
+) -> tuple[Float[Array, "*n"], Float[Array, "*n 3"]]:
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     squared = x * x + y * y
     known = squared > _SHORT**2
@@ -154,7 +160,9 @@ def _to_cylinder(points, shape):
     return distance, normal
 
 
-def _to_box(points, shape):
+def _to_box(
+    points: Float[Array, "*n 3"], shape: Box
+) -> tuple[Float[Array, "*n"], Float[Array, "*n 3"]]:
     beyond = jnp.abs(points) - shape.half
     sign = jnp.where(points < 0, -1.0, 1.0)
     outside = jnp.maximum(beyond, 0.0)

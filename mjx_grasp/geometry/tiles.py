@@ -43,7 +43,7 @@ def map_tiles(function: Callable[..., T], rows: Any, tile: int) -> T:
         return function(*rows)
     size = math.ceil(n / count)
 
-    def cut(x):
+    def cut(x: Array) -> Array:
         # Rows that fill the last tile repeat the first one: any value that is safe to work on.
         filled = jnp.concatenate([x, jnp.broadcast_to(x[:1], (size * count - n, *x.shape[1:]))])
         return filled.reshape(count, size, *x.shape[1:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.progress import TaskID
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
@@ -52,7 +53,7 @@ def make_handoffs(
         for done, name in enumerate(names):
             task = progress.add_task(name, total=config.per_object)
 
-            def show(kept: int, task=task, done=done) -> None:
+            def show(kept: int, task: TaskID = task, done: int = done) -> None:
                 progress.update(task, completed=kept)
                 progress.update(everything, completed=done * config.per_object + kept)
 

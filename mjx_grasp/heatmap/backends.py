@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt32
 
-from mjx_grasp.geometry.closest import closest_on_face, closest_on_mesh
+from mjx_grasp.geometry.closest import ClosestPoints, closest_on_face, closest_on_mesh
 from mjx_grasp.geometry.curvature import axes_of_spread, normal_spread, tangent_basis
 from mjx_grasp.geometry.packing import Layout, pack, unpack_on_device
 from mjx_grasp.geometry.rays import RayHits, farthest_hit, hit_on_face
@@ -35,9 +35,11 @@ if TYPE_CHECKING:
 # and 100,000 on an H200: experiments/results/heatmap_h200.json).
 _BRUTE_ON_GPU = 12_000
 
+T = TypeVar("T")
+
 
 def start_trees(
-    points: Sequence[Float[np.ndarray, "v 3"]], faces: Sequence[Int[np.ndarray, "f 3"]]
+    points: Sequence[Float[np.ndarray, "_ 3"]], faces: Sequence[Int[np.ndarray, "_ 3"]]
 ) -> MeshTrees:
     """Hierarchies of meshes, which are built meanwhile.
 
@@ -61,6 +63,9 @@ def backend_for(faces: int, config: HeatmapConfig) -> str:
     return "bvh" if platform == "gpu" and faces > _BRUTE_ON_GPU else "brute"
 
 
+_Found = tuple[RayHits, Float[Array, "*g n 3"], Float[Array, "*g n 3"], Float[Array, "*g n 3"]]
+
+
 class Begun(NamedTuple):
     """Work that needs no masses, done over all faces: of meshes of the same padded size.
 
@@ -69,10 +74,10 @@ class Begun(NamedTuple):
         found: Along the leading axis the rays' hits, points o, normals and their spread there.
     """
 
-    words: Array
+    words: UInt32[Array, " words"]
     layout: Layout
     at_once: int
-    found: tuple[RayHits, Array, Array, Array]
+    found: _Found
 
 
 def begin_brute(stacked: Surfaces, config: HeatmapConfig) -> Begun:
@@ -117,8 +122,10 @@ def _at_once(stacked: Surfaces, config: HeatmapConfig) -> int:
 
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
-def _begin(words, layout, at_once, config):
-    def one(surfaces):
+def _begin(
+    words: UInt32[Array, " words"], layout: Layout, at_once: int, config: HeatmapConfig
+) -> _Found:
+    def one(surfaces: Surfaces) -> _Found:
         thumbs, vertices = _all_thumbs(surfaces), surfaces.vertices
         tile = config.tile or tile_for(len(surfaces.areas), at_once)
         triangles = vertices[surfaces.faces]
@@ -141,11 +148,19 @@ def _begin(words, layout, at_once, config):
 
 
 @partial(jax.jit, static_argnums=(3, 4, 5, 6))
-def _finish(words, begun, more_words, layout, more_layout, at_once, config):
+def _finish(
+    words: UInt32[Array, " words"],
+    begun: _Found,
+    more_words: UInt32[Array, " more"],
+    layout: Layout,
+    more_layout: Layout,
+    at_once: int,
+    config: HeatmapConfig,
+) -> HeatmapRows:
     surfaces = unpack_on_device(words, layout)
     masses, hand = unpack_on_device(more_words, more_layout)
 
-    def one(part):
+    def one(part: tuple[Surfaces, _Found, Masses]) -> HeatmapRows:
         surfaces, (hits, opposing, normals, spread), masses = part
         thumbs = _all_thumbs(surfaces)
         tile = config.tile or tile_for(len(surfaces.areas), at_once)
@@ -165,13 +180,19 @@ def _all_thumbs(surfaces: Surfaces) -> Thumbs:
     return Thumbs(surfaces.vertices, surfaces.normals, jnp.zeros(len(surfaces.vertices), jnp.int32))
 
 
-def _mapped(function, stacked, at_once):
+def _mapped(function: Callable[[Any], T], stacked: Any, at_once: int) -> T:
     if at_once == jax.tree.leaves(stacked)[0].shape[0]:
         return jax.vmap(function)(stacked)
     return jax.lax.map(function, stacked, batch_size=at_once)
 
 
-def _axes(masses, thumbs, spread, normals, config):
+def _axes(
+    masses: Masses,
+    thumbs: Thumbs,
+    spread: Float[Array, "n 3"],
+    normals: Float[Array, "n 3"],
+    config: HeatmapConfig,
+) -> Float[Array, "n 3"]:
     return axes_of_spread(
         spread,
         normals,
@@ -249,7 +270,10 @@ def _parts() -> int:
 
 
 @partial(jax.jit, static_argnums=(1, 2))
-def _split(words, layout, parts):
+def _split(
+    words: UInt32[Array, " words"], layout: Layout, parts: int
+) -> tuple[Surfaces, Masses, list[Thumbs], list[Float[Array, "_ 3"]]]:
+    """With the thumbs cut into parts, and the directions of their rays."""
     surfaces, masses, thumbs = unpack_on_device(words, layout)
     size = -(-len(thumbs.owner) // parts)
     split = [
@@ -259,7 +283,18 @@ def _split(words, layout, parts):
 
 
 @partial(jax.jit, static_argnames="config")
-def _met(surfaces, thumbs, directions, face, config):
+def _met(
+    surfaces: Surfaces,
+    thumbs: Thumbs,
+    directions: Float[Array, "n 3"],
+    face: Int[Array, " n"],
+    config: HeatmapConfig,
+) -> tuple[
+    RayHits,
+    Float[Array, "n 3"],
+    Float[Array, "n 3"],
+    tuple[Float[Array, "n 3"], Float[Array, "n 3"]],
+]:
     least = config.min_ray_fraction * surfaces.diagonal[thumbs.owner]
     triangles = surfaces.vertices[surfaces.faces]
     hits = hit_on_face(thumbs.points, directions, triangles, face, least)
@@ -268,13 +303,22 @@ def _met(surfaces, thumbs, directions, face, config):
 
 
 @partial(jax.jit, static_argnames="config")
-def _seeded(masses, thumbs, opposing, normals, spread, config):
+def _seeded(
+    masses: Masses,
+    thumbs: Thumbs,
+    opposing: Float[Array, "n 3"],
+    normals: Float[Array, "n 3"],
+    spread: Float[Array, "n 3"],
+    config: HeatmapConfig,
+) -> tuple[Float[Array, "n 3"], Float[Array, "m 3"]]:
     long_axis = _axes(masses, thumbs, spread, normals, config)
     return long_axis, wrap_seeds(opposing, long_axis, config.wrap_offsets).reshape(-1, 3)
 
 
 @jax.jit
-def _projected(surfaces, seeds, face):
+def _projected(
+    surfaces: Surfaces, seeds: Float[Array, "m 3"], face: Int[Array, " m"]
+) -> ClosestPoints:
     return closest_on_face(seeds, surfaces.vertices[surfaces.faces], jnp.maximum(face, 0))
 
 

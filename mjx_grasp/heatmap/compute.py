@@ -40,6 +40,8 @@ _LEAST_STEP = 512
 # Vertices worked on at once: bounds the memory of many meshes.
 _MOST_VERTICES = 250_000
 
+_Com = Float[np.ndarray, " 3"] | None
+
 _f32 = partial(np.asarray, dtype=np.float32)
 
 
@@ -71,8 +73,8 @@ def compute_heatmap(
 
 
 def compute_heatmaps(
-    meshes: Sequence[tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]],
-    coms: Sequence[Float[np.ndarray, " 3"] | None] | None,
+    meshes: Sequence[tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]],
+    coms: Sequence[_Com] | None,
     span: tuple[float, float],
     scoring_friction: float,
     config: HeatmapConfig | None = None,
@@ -144,7 +146,7 @@ class _Centred:
     """Of the box, [m]."""
 
     @classmethod
-    def of(cls, vertices, faces) -> _Centred:
+    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> _Centred:
         vertices, faces = _checked(vertices, faces)
         low, high = bounds(vertices)
         origin = 0.5 * (low + high)
@@ -162,7 +164,9 @@ class _Centred:
         return len(self.vertices), len(self.faces)
 
 
-def _started(members, coms, hand, config) -> tuple[list[HeatmapRows], list[np.ndarray]]:
+def _started(
+    members: Sequence[_Centred], coms: Sequence[_Com], hand: GraspLimits, config: HeatmapConfig
+) -> tuple[list[HeatmapRows], list[np.ndarray]]:
     """Candidates that a GPU may still be at, and centres of mass in the meshes' frames [m]."""
     sizes = [m.size for m in members]
     if backend_for(max(faces for _, faces in sizes), config) == "bvh":
@@ -192,7 +196,7 @@ def _surfaces(m: _Centred) -> Surfaces:
     )
 
 
-def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
+def _masses(members: Sequence[_Centred], coms: Sequence[_Com]) -> tuple[Masses, list[np.ndarray]]:
     """:class:`Masses` of meshes, and their centres of mass in their frames [m]."""
     found = [principal_frame_of(m.triangles, m.faces, m.diagonal) for m in members]
     centres = [
@@ -203,7 +207,9 @@ def _masses(members, coms) -> tuple[Masses, list[np.ndarray]]:
     return Masses(com=_f32(around), axes=_f32([p.axes for p in found])), centres
 
 
-def _checked(vertices, faces):
+def _checked(
+    vertices: np.ndarray, faces: np.ndarray
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise InputError("vertices", f"shape {vertices.shape}", "numbers [v, 3] in m")

@@ -110,7 +110,16 @@ def triple_distance(
 
 
 @partial(jax.jit, static_argnames=("count", "top_k"))
-def _draw(key, heatmap, score, temperature, min_distance, min_score, count, top_k):
+def _draw(
+    key: PRNGKeyArray | UInt32[Array, "2"],
+    heatmap: Heatmap,
+    score: Float[Array, " v"],
+    temperature: Float[Array, ""],
+    min_distance: Float[Array, ""],
+    min_score: Float[Array, ""],
+    count: int,
+    top_k: int | None,
+) -> Triples:
     open_ = heatmap.valid & (score >= min_score) & (score > 0)
     if top_k is not None and top_k < len(score):
         best = jax.lax.top_k(jnp.where(open_, score, -1.0), top_k)[1]
@@ -119,7 +128,9 @@ def _draw(key, heatmap, score, temperature, min_distance, min_score, count, top_
     # taking a maximum and what depends on it is again a draw by the same law.
     noisy = score + temperature * jax.random.gumbel(key, score.shape, score.dtype)
 
-    def step(open_, _):
+    def step(
+        open_: Bool[Array, " v"], _: None
+    ) -> tuple[Bool[Array, " v"], tuple[Int[Array, ""], Bool[Array, ""]]]:
         index = jnp.argmax(jnp.where(open_, noisy, -jnp.inf))
         found = open_[index]
         gap = triple_distance(

@@ -31,7 +31,7 @@ class PinholeCamera:
     p_wc: Float[np.ndarray, " 3"]
     """Its centre in the world [m]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise InputError("camera size", (self.width, self.height), "positive numbers of pixels")
         if not (self.fx > 0 and self.fy > 0):

@@ -41,6 +41,8 @@ _SMALLEST_STD = 0.1
 """A flag that was always 0 must not become 10⁶ standard deviations when it is 1 for once."""
 
 Metrics = dict[str, Float[Array, ""]]
+_Carry = tuple[optax.OptState, losses.PPONetworkParams, Array]
+"""What an update changes: optimiser, weights and key."""
 
 
 def make_networks(config: PPOConfig, env: BraxTask) -> networks.PPONetworks:
@@ -109,7 +111,7 @@ def make_iteration(
         has_aux=True,
     )
 
-    def minibatch_step(carry, data, normalizer):
+    def minibatch_step(carry: _Carry, data: Any, normalizer: Any) -> tuple[_Carry, Metrics]:
         optimizer_state, params, key = carry
         key, loss_key = jax.random.split(key)
         (_, metrics), gradient = loss_and_gradient(params, normalizer, data, loss_key)
@@ -121,7 +123,9 @@ def make_iteration(
         metrics["learning_rate"] = optimizer_state[-1].hyperparams["learning_rate"]
         return (optimizer_state, optax.apply_updates(params, updates), key), metrics
 
-    def epoch(carry, _, data, normalizer):
+    def epoch(
+        carry: _Carry, _: None, data: Any, normalizer: Any
+    ) -> tuple[_Carry, dict[str, Float[Array, " minibatches"]]]:
         optimizer_state, params, key = carry
         key, order_key, step_key = jax.random.split(key, 3)
         order = jax.random.permutation(order_key, config.worlds)

@@ -68,7 +68,12 @@ def _ball(radius: float) -> trimesh.Trimesh:
     return ellipsoid((radius, radius, radius))
 
 
-def _tube(points: list[list[float]], radius: float, edge: float, up=(0.0, 0.0, 1.0)):
+def _tube(
+    points: list[list[float]],
+    radius: float,
+    edge: float,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> trimesh.Trimesh:
     path = smooth(points)
     return swept(path, radius, radius, edge, up=up)
 

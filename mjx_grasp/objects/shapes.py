@@ -222,7 +222,7 @@ def _outline(a: float, b: float, power: float, edge: float) -> Float[np.ndarray,
     return np.stack([np.interp(level, along, dense[:, k]) for k in (0, 1)], axis=1)
 
 
-def _skin(rings: Sequence[Float[np.ndarray, "n 3"]]) -> trimesh.Trimesh:
+def _skin(rings: Sequence[Float[np.ndarray, "_ 3"]]) -> trimesh.Trimesh:
     """The closed surface over rings that turn anticlockwise about the direction of their order."""
     start = np.cumsum([0, *(len(ring) for ring in rings)])
     faces: list[tuple[int, int, int]] = []

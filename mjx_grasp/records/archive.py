@@ -14,13 +14,14 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import replacing
@@ -61,7 +62,9 @@ class ArchiveKind(Generic[H]):
     raises a ChecksumError if that is damaged."""
 
 
-def write_archive(path: str | Path, kind: ArchiveKind[H], header: H, arrays: Arrays) -> None:
+def write_archive(
+    path: str | Path, kind: ArchiveKind[H], header: H, arrays: Mapping[str, ArrayLike]
+) -> None:
     """Writes an archive of the present version, all or nothing.
 
     Args:
@@ -172,7 +175,7 @@ def _label(header: Header, arrays: Arrays) -> tuple[str, int | None]:
     return name.replace(".", " "), version if isinstance(version, int) else None
 
 
-def _layouts(path: Path, kind: ArchiveKind[H], arrays: Arrays) -> dict[str, list[str]]:
+def _layouts(path: Path, kind: ArchiveKind[H], arrays: Iterable[str]) -> dict[str, list[str]]:
     """Type and lengths that each array should have.
 
     Raises:

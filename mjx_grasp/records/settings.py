@@ -15,7 +15,7 @@ import math
 import operator
 import sys
 import types
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -196,7 +196,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 Limit = Range | Several | Suffix
 
 
-def _bare(hint: Any) -> tuple[Any, list[Limit]]:
+def _bare(hint: Any) -> tuple[Any, Collection[Limit]]:
     """A type without its annotation, and the limits among it."""
     if get_origin(hint) is not Annotated:
         return hint, []
@@ -224,7 +224,7 @@ def _expected(hint: Any, value: Any) -> str | None:
     return wrong or next((str(limit) for limit in limits if not limit.holds(value)), None)
 
 
-def _expected_number(kind: type, limits: list[Any], value: Any) -> str | None:
+def _expected_number(kind: type, limits: Collection[Any], value: Any) -> str | None:
     is_number = isinstance(value, (kind, int)) and not isinstance(value, bool)
     if is_number and all(limit.holds(value) for limit in limits):
         return None

@@ -76,7 +76,12 @@ class CollisionChecker:
                 found.add(_REASON_OF_PAIR[kinds])
         return next((reason for reason in REASONS if reason in found), None)
 
-    def _penetrations(self, q, object_pos, object_quat) -> list[tuple[int, int]]:
+    def _penetrations(
+        self,
+        q: Float[np.ndarray, " joints"],
+        object_pos: Float[np.ndarray, " 3"],
+        object_quat: Float[np.ndarray, " 4"],
+    ) -> list[tuple[int, int]]:
         data = self._data
         data.qpos[self._addresses.robot_qpos] = q
         data.qpos[self._addresses.object_qpos[:3]] = object_pos

@@ -110,7 +110,15 @@ def write_png(path: str | Path, sheet: Image.Image, max_bytes: int | None = None
         raise InputError("max_bytes", max_bytes, f"at least {size} bytes: fewer or smaller cells")
 
 
-def _draw_bar(sheet, pen, x: float, y: float, font: int, top: float, scale: str) -> None:
+def _draw_bar(
+    sheet: Image.Image,
+    pen: ImageDraw.ImageDraw,
+    x: float,
+    y: float,
+    font: int,
+    top: float,
+    scale: str,
+) -> None:
     width, thick = 14 * font, round(0.9 * font)
     pen.text((x, y), scale, _INK, _font(font), anchor="lt")
     x += _font(font).getlength(scale) + font
@@ -124,7 +132,9 @@ def _draw_bar(sheet, pen, x: float, y: float, font: int, top: float, scale: str)
         pen.text((at, y + thick + 0.5 * font), text, _GREY, _font(font), anchor="mt")
 
 
-def _draw_legend(pen, cells: Sequence[Cell], right: float, y: float, font: int) -> None:
+def _draw_legend(
+    pen: ImageDraw.ImageDraw, cells: Sequence[Cell], right: float, y: float, font: int
+) -> None:
     """From the right: what the marks mean; only marks that are on the sheet."""
     entries = [("far side", None, True), ("index and middle", WRAP, False), ("thumb", THUMB, False)]
     if any(c.subject.anchor is not None for c in cells):
@@ -147,7 +157,15 @@ def _draw_legend(pen, cells: Sequence[Cell], right: float, y: float, font: int) 
         x -= 1.3 * font
 
 
-def _centred(pen, x: float, y: float, text: str, colour, size: int, room: float) -> None:
+def _centred(
+    pen: ImageDraw.ImageDraw,
+    x: float,
+    y: float,
+    text: str,
+    colour: tuple[int, int, int],
+    size: int,
+    room: float,
+) -> None:
     font = _font(size)
     while text and font.getlength(text) > room:
         text = text[:-2] + "…"

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.sampling import Triples
+from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.viz.raster import Fragments, Orthographic, fitted, look_from, rasterise
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -40,7 +41,13 @@ class Subject:
     anchor: Float[np.ndarray, " 3"] | None = None
 
 
-def subject_of(heatmap, faces, score=None, triple: Triples | None = None, anchor=None) -> Subject:
+def subject_of(
+    heatmap: Heatmap,
+    faces: Int[np.ndarray, "f 3"],
+    score: Float[Array, " v"] | Float[np.ndarray, " v"] | None = None,
+    triple: Triples | None = None,
+    anchor: Float[np.ndarray, " 3"] | None = None,
+) -> Subject:
     """A heatmap as what is drawn.
 
     Args:
@@ -149,7 +156,7 @@ def _draw_marks(
         _cross(pen, camera.project(subject.anchor), 3.4 * unit)
 
 
-def _cross(pen, point, reach) -> None:
+def _cross(pen: ImageDraw.ImageDraw, point: Float[np.ndarray, " 3"], reach: float) -> None:
     x, y, _ = point
     white, colour = (255, 255, 255, 230), (*ANCHOR, 255)
     for r, width, ink in ((1.06 * reach, 0.68 * reach, white), (reach, 0.4 * reach, colour)):
@@ -157,10 +164,16 @@ def _cross(pen, point, reach) -> None:
             pen.line([(x - r, y - sign * r), (x + r, y + sign * r)], ink, round(width))
 
 
-def _disc(pen, point, radius, colour, hidden: bool) -> None:
+def _disc(
+    pen: ImageDraw.ImageDraw,
+    point: Float[np.ndarray, " 3"],
+    radius: float,
+    colour: tuple[int, int, int],
+    hidden: bool,
+) -> None:
     x, y, _ = point
 
-    def box(r):
+    def box(r: float) -> tuple[float, float, float, float]:
         return (x - r, y - r, x + r, y + r)
 
     if hidden:

@@ -105,7 +105,16 @@ def rasterise(
     return Fragments(face.reshape(shape), weights.reshape(*shape, 3), near.reshape(shape))
 
 
-def _draw(which, corners, low, span, width, face, weights, near):
+def _draw(
+    which: Int[np.ndarray, " d"],
+    corners: Float[np.ndarray, "f 3 3"],
+    low: Int[np.ndarray, "f 2"],
+    span: Int[np.ndarray, "f 2"],
+    width: int,
+    face: Int[np.ndarray, " pixels"],
+    weights: Float[np.ndarray, "pixels 3"],
+    near: Float[np.ndarray, " pixels"],
+) -> None:
     """Draws some faces into the flat buffers."""
     count = span[which, 0] * span[which, 1]
     index = np.repeat(which, count)
@@ -115,7 +124,7 @@ def _draw(which, corners, low, span, width, face, weights, near):
     a, b, c = (corners[index, k] for k in range(3))
     px, py = x + 0.5, y + 0.5
 
-    def area(p, q, rx, ry):
+    def area(p: np.ndarray, q: np.ndarray, rx: np.ndarray, ry: np.ndarray) -> np.ndarray:
         return (q[:, 0] - p[:, 0]) * (ry - p[:, 1]) - (q[:, 1] - p[:, 1]) * (rx - p[:, 0])
 
     twice = area(a, b, c[:, 0], c[:, 1])

@@ -1,3 +1,4 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -22,7 +23,7 @@ def sampled_distance(point, triangle, n=60):
 @settings(max_examples=150, deadline=None)
 @given(arrays(np.float32, 3, elements=COORDINATE), arrays(np.float32, (3, 3), elements=COORDINATE))
 def test_nearest_point_is_on_the_triangle_and_none_is_nearer(point, triangle):
-    nearest, weights = closest_on_triangle(point, triangle)
+    nearest, weights = closest_on_triangle(jnp.asarray(point), jnp.asarray(triangle))
     assert np.all(np.asarray(weights) >= -1e-6)
     assert float(np.sum(weights)) == pytest.approx(1.0, abs=1e-5)
     assert np.allclose(np.asarray(weights) @ triangle, nearest, atol=1e-5)
@@ -43,8 +44,8 @@ def test_nearest_point_is_on_the_triangle_and_none_is_nearer(point, triangle):
     ],
 )
 def test_every_region_of_the_unit_triangle(point, expected):
-    triangle = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    nearest, _ = closest_on_triangle(np.float32(point), triangle)
+    triangle = jnp.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    nearest, _ = closest_on_triangle(jnp.float32(point), triangle)
     assert np.allclose(nearest, expected, atol=1e-6)
 
 
@@ -59,7 +60,7 @@ def test_agrees_with_trimesh(shape):
     else:
         mesh = stand_in("mug", 1.0)
     points = rng.uniform(mesh.bounds[0] * 1.5, mesh.bounds[1] * 1.5, (150, 3))
-    found = closest_on_mesh(np.float32(points), np.float32(mesh.triangles), tile=64)
+    found = closest_on_mesh(jnp.float32(points), jnp.float32(mesh.triangles), tile=64)
     expected, distance, _ = trimesh.proximity.closest_point_naive(mesh, points)
     assert np.allclose(found.distance, distance, atol=2e-6)
     # Where two faces are equally near, either point is right: compare those that are not.
@@ -74,18 +75,18 @@ def test_agrees_with_trimesh(shape):
 def test_points_of_the_surface_are_their_own_nearest():
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
     points, _ = trimesh.sample.sample_surface(mesh, 300, seed=1)
-    found = closest_on_mesh(np.float32(points), np.float32(mesh.triangles))
+    found = closest_on_mesh(jnp.float32(points), jnp.float32(mesh.triangles))
     assert np.asarray(found.distance).max() < 1e-7
 
 
 def test_degenerate_triangles_stay_finite_and_exact():
-    ends = np.float32([[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    ends = jnp.float32([[0, 0, 0], [1, 0, 0], [2, 0, 0]])
     # In any order of the corners, with one in the middle or two the same.
-    segments = [ends[[0, 1, 2]], ends[[0, 2, 1]], ends[[0, 0, 2]], ends[[0, 2, 2]], ends[[0, 2, 0]]]
-    dot = np.float32([[1, 1, 1]] * 3)
-    for point in np.float32([[0, 0, 0], [0.5, 1, 0], [3, 0, 1], [-1, 0, 0]]):
+    corners = np.array([[0, 1, 2], [0, 2, 1], [0, 0, 2], [0, 2, 2], [0, 2, 0]])
+    dot = jnp.float32([[1, 1, 1]] * 3)
+    for point in jnp.float32([[0, 0, 0], [0.5, 1, 0], [3, 0, 1], [-1, 0, 0]]):
         on_dot, weights = closest_on_triangle(point, dot)
-        for segment in segments:
+        for segment in ends[corners]:
             on_segment, _ = closest_on_triangle(point, segment)
-            assert np.allclose(on_segment, [np.clip(point[0], 0, 2), 0, 0], atol=1e-6)
+            assert np.allclose(on_segment, [jnp.clip(point[0], 0, 2), 0, 0], atol=1e-6)
         assert np.allclose(on_dot, 1) and np.isfinite(weights).all()

@@ -1,4 +1,5 @@
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -20,12 +21,12 @@ def axes_on(mesh, points, normals, **changes):
     properties = principal_frame(mesh.vertices, mesh.faces)
     return np.asarray(
         long_axes(
-            np.float32(points),
-            np.float32(normals),
-            np.float32(mesh.triangles_center),
-            np.float32(mesh.face_normals),
-            np.float32(mesh.area_faces),
-            np.float32(properties.axes),
+            jnp.float32(points),
+            jnp.float32(normals),
+            jnp.float32(mesh.triangles_center),
+            jnp.float32(mesh.face_normals),
+            jnp.float32(mesh.area_faces),
+            jnp.float32(properties.axes),
             **changes,
         )
     )
@@ -71,12 +72,12 @@ def test_always_a_finite_unit_tangent():
     assert np.abs(np.sum(found * sphere.vertex_normals, axis=1)).max() < 1e-5
     flat = trimesh.Trimesh([[0, 0, 0], [0, 0, 0], [1e-3, 0, 0]], [[0, 1, 2]], process=False)
     nothing = long_axes(
-        np.zeros((1, 3), np.float32),
-        np.float32([[0, 0, 1]]),
-        np.zeros((1, 3), np.float32),
-        np.zeros((1, 3), np.float32),
-        np.zeros(1, np.float32),
-        np.float32(principal_frame(flat.vertices, flat.faces).axes),
+        jnp.zeros((1, 3)),
+        jnp.float32([[0, 0, 1]]),
+        jnp.zeros((1, 3)),
+        jnp.zeros((1, 3)),
+        jnp.zeros(1),
+        jnp.float32(principal_frame(flat.vertices, flat.faces).axes),
     )
     assert np.isfinite(nothing).all()
 
@@ -85,8 +86,8 @@ def test_tangent_basis_is_orthonormal_everywhere():
     rng = np.random.default_rng(0)
     n = rng.normal(size=(200, 3))
     n = np.concatenate([n, np.eye(3), -np.eye(3), [[1e-4, 0, -1]]])
-    n = np.float32(n / np.linalg.norm(n, axis=1, keepdims=True))
-    frame = np.stack([*map(np.asarray, tangent_basis(n)), n], axis=-1)
+    n = jnp.float32(n / np.linalg.norm(n, axis=1, keepdims=True))
+    frame = np.stack([*tangent_basis(n), n], axis=-1)
     assert np.allclose(np.swapaxes(frame, 1, 2) @ frame, np.eye(3), atol=1e-5)
 
 
@@ -112,11 +113,11 @@ def test_an_open_mesh_takes_its_surface():
 
 
 def test_vector_laws_stay_finite_at_their_edges():
-    zero = np.zeros(3, np.float32)
-    x = np.float32([1, 0, 0])
+    zero = jnp.zeros(3)
+    x = jnp.float32([1, 0, 0])
     assert np.array_equal(unit(zero), zero)
     assert np.allclose(unit(1e-30 * x), x)
     assert float(angle_between(x, -x)) == pytest.approx(np.pi, abs=1e-6)
-    assert float(angle_between(x, np.float32([1, 1e-5, 0]))) == pytest.approx(1e-5, rel=1e-3)
-    assert float(distance_to_line(np.float32([5, 3, 4]), zero, x)) == pytest.approx(5)
+    assert float(angle_between(x, jnp.float32([1, 1e-5, 0]))) == pytest.approx(1e-5, rel=1e-3)
+    assert float(distance_to_line(jnp.float32([5, 3, 4]), zero, x)) == pytest.approx(5)
     assert np.isfinite(jax.jit(angle_between)(zero, x))

@@ -69,7 +69,7 @@ def test_the_nearest_face_is_as_near_as_any(count, known):
     distance = np.linalg.norm(
         trimesh.triangles.closest_point(triangles + 1e-12, queries.astype(float)) - queries, axis=1
     )
-    best = closest_on_mesh(queries, points[faces]).distance
+    best = closest_on_mesh(as_jax(queries), as_jax(points[faces])).distance
     sound = np.linalg.norm(np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1)), axis=1) > 1e-9
     assert np.allclose(distance[sound], best[sound], atol=2e-7)
 

@@ -7,8 +7,7 @@ from scipy.optimize import least_squares, lsq_linear
 from mjx_grasp.geometry.levenberg_marquardt import Linearised, Minimum, minimise
 
 BATCH, ROWS, UNKNOWNS, STEPS = 40, 9, 5, 60
-WIDE = np.full(UNKNOWNS, 1e3, np.float32)
-FREE = np.zeros(UNKNOWNS, np.float32)
+WIDE = jnp.full(UNKNOWNS, 1e3)
 
 
 def linear(A, b):
@@ -27,7 +26,7 @@ def valley(x):
 
 def descend(linearise, start, lower, upper, steps=STEPS) -> Minimum:
     none = jnp.zeros_like(start)
-    return minimise(linearise, start, lower, upper, none, none, steps)
+    return minimise(linearise, start, jnp.asarray(lower), jnp.asarray(upper), none, none, steps)
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +87,8 @@ def test_without_steps_it_tells_the_objective_of_the_start(boxed):
 def test_the_pull_is_that_of_the_normal_equations(boxed):
     A, b, start, *_ = (x[0] for x in boxed)
     rng = np.random.default_rng(1)
-    pull = np.float32(rng.uniform(0.1, 3.0, UNKNOWNS))
-    reference = np.float32(rng.normal(size=UNKNOWNS))
+    pull = jnp.float32(rng.uniform(0.1, 3.0, UNKNOWNS))
+    reference = jnp.float32(rng.normal(size=UNKNOWNS))
     at = minimise(linear(A, b), jnp.asarray(start), -WIDE, WIDE, pull, reference, STEPS)
     weight = np.diag(np.float64(pull) ** 2)
     exact = np.linalg.solve(A.T @ A + weight, A.T @ b + weight @ reference)

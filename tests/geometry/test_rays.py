@@ -1,6 +1,7 @@
 import os
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -35,7 +36,7 @@ def check_against_embree(mesh, share):
     directions = -mesh.vertex_normals
     min_distance = 1e-4 * np.linalg.norm(mesh.extents)
     hits = farthest_hit(
-        np.float32(origins), np.float32(directions), np.float32(mesh.triangles), min_distance
+        jnp.float32(origins), jnp.float32(directions), jnp.float32(mesh.triangles), min_distance
     )
     expected = oracle(mesh, origins, directions)
     # Hits within a rounding of the threshold are either.
@@ -70,7 +71,10 @@ def test_farthest_hit_agrees_with_embree_on_every_scan():
 def test_hit_point_from_weights_lies_on_the_ray():
     mesh = bumpy(3)
     hits = farthest_hit(
-        np.float32(mesh.vertices), np.float32(-mesh.vertex_normals), np.float32(mesh.triangles), 0.0
+        jnp.float32(mesh.vertices),
+        jnp.float32(-mesh.vertex_normals),
+        jnp.float32(mesh.triangles),
+        0.0,
     )
     on_face = np.einsum("nk,nki->ni", hits.barycentric, mesh.triangles[np.asarray(hits.face)])
     on_ray = mesh.vertices - np.asarray(hits.distance)[:, None] * mesh.vertex_normals
@@ -80,14 +84,14 @@ def test_hit_point_from_weights_lies_on_the_ray():
 
 def test_of_several_walls_the_farthest_is_taken_and_near_ones_do_not_count():
     wall = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0]], np.float32)
-    walls = wall + np.float32([-0.1, 0.5, 0.2])[:, None, None] * np.float32([0, 0, 1])
-    origin, up = np.zeros((1, 3), np.float32), np.array([[0, 0, 1.0]], np.float32)
+    walls = wall + jnp.float32([-0.1, 0.5, 0.2])[:, None, None] * jnp.float32([0, 0, 1])
+    origin, up = jnp.zeros((1, 3)), jnp.float32([[0, 0, 1]])
     hits = farthest_hit(origin, up, walls, 0.0)
     assert int(hits.face[0]) == 1
     assert float(hits.distance[0]) == pytest.approx(0.5)
     assert bool(farthest_hit(origin, up, walls, 0.45).hit[0])
     assert not bool(farthest_hit(origin, up, walls, 0.55).hit[0])
-    assert not bool(farthest_hit(origin, np.float32([[1, 0, 0]]), walls, 0.0).hit[0])
+    assert not bool(farthest_hit(origin, jnp.float32([[1, 0, 0]]), walls, 0.0).hit[0])
 
 
 def test_a_ray_through_shared_edges_and_vertices_does_not_slip_through():
@@ -95,9 +99,9 @@ def test_a_ray_through_shared_edges_and_vertices_does_not_slip_through():
     origins = mesh.vertices[np.abs(mesh.vertices).max(axis=1) > 0.0499]
     top = origins[np.isclose(origins[:, 2], 0.05) & (np.abs(origins[:, :2]).max(axis=1) < 0.049)]
     hits = farthest_hit(
-        np.float32(top),
-        np.tile(np.float32([0, 0, -1]), (len(top), 1)),
-        np.float32(mesh.triangles),
+        jnp.float32(top),
+        jnp.tile(jnp.float32([0, 0, -1]), (len(top), 1)),
+        jnp.float32(mesh.triangles),
         1e-4,
     )
     assert len(top) >= 9
@@ -105,11 +109,8 @@ def test_a_ray_through_shared_edges_and_vertices_does_not_slip_through():
 
 
 def test_degenerate_faces_and_rays_hit_nothing_and_stay_finite():
-    triangles = np.zeros((3, 3, 3), np.float32)
-    triangles[1, 1:] = [[1, 0, 0], [2, 0, 0]]
-    hits = farthest_hit(
-        np.zeros((2, 3), np.float32), np.float32([[1, 0, 0], [0, 0, 0]]), triangles, 0.0
-    )
+    triangles = jnp.zeros((3, 3, 3)).at[1, 1:].set(jnp.float32([[1, 0, 0], [2, 0, 0]]))
+    hits = farthest_hit(jnp.zeros((2, 3)), jnp.float32([[1, 0, 0], [0, 0, 0]]), triangles, 0.0)
     assert not np.asarray(hits.hit).any()
     assert all(np.isfinite(np.asarray(x, float)).all() for x in hits)
 
@@ -117,9 +118,9 @@ def test_degenerate_faces_and_rays_hit_nothing_and_stay_finite():
 def test_the_tile_does_not_change_the_answer():
     mesh = bumpy(4)
     arguments = (
-        np.float32(mesh.vertices[:101]),
-        np.float32(-mesh.vertex_normals[:101]),
-        np.float32(mesh.triangles),
+        jnp.float32(mesh.vertices[:101]),
+        jnp.float32(-mesh.vertex_normals[:101]),
+        jnp.float32(mesh.triangles),
         1e-4,
     )
     small, large = farthest_hit(*arguments, tile=7), farthest_hit(*arguments, tile=101)

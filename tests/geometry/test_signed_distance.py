@@ -52,15 +52,17 @@ def test_distance_agrees_with_a_fine_mesh(name):
     shape, mesh, tolerance = SHAPES[name]
     mesh, points = mesh(), _points()
     expected = -trimesh.proximity.signed_distance(mesh, points)
-    np.testing.assert_allclose(signed_distance(shape, points), expected, atol=tolerance)
+    np.testing.assert_allclose(
+        signed_distance(shape, jnp.asarray(points)), expected, atol=tolerance
+    )
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_normal_is_the_gradient(name):
     shape, _, _ = SHAPES[name]
-    shape = jax.tree.map(lambda x: np.asarray(x, np.float64), shape)
     points = _points().astype(np.float64)
     with jax.enable_x64(True):
+        shape = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), shape)
         _, normal = distance_and_normal(shape, jnp.asarray(points))
         step, slope = 1e-6, []
         for axis in np.eye(3):
@@ -238,7 +240,7 @@ def test_overlapping_parts_are_their_union():
     both = np.stack([_box_distance(points, place) for place in places])
     assert np.sum((both < -0.002).all(axis=0)) > 50
     clear = np.abs(both).min(axis=0) > 0.002
-    found = np.asarray(signed_distance(field, points))
+    found = np.asarray(signed_distance(field, jnp.asarray(points)))
     np.testing.assert_array_equal((found < 0)[clear], (both < 0).any(axis=0)[clear])
     outside = (both > 0.002).all(axis=0)
     np.testing.assert_allclose(found[outside], both.min(axis=0)[outside], atol=1e-3)
@@ -253,7 +255,7 @@ def test_a_gap_leaves_the_inside_inside():
     points = _points(1500) / 3
     winding = winding_number(points, ball.vertices[faces])
     clear = (np.abs(np.linalg.norm(points, axis=1) - 0.03) > 0.003) & (np.abs(winding - 0.5) > 0.1)
-    found = np.asarray(signed_distance(field, points))
+    found = np.asarray(signed_distance(field, jnp.asarray(points)))
     assert np.sum(clear & (winding > 0.6)) > 100
     np.testing.assert_array_equal((found < 0)[clear], (winding > 0.5)[clear])
     assert float(signed_distance(field, jnp.zeros(3))) < -0.02

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.geometry.signed_distance import Cylinder
@@ -82,6 +82,10 @@ class ReachRecord(NamedTuple):
     """that error [m]"""
 
 
+_State = tuple[ReachState, Float[Array, "*b joints"], ReachRecord]
+"""Where a reach is, its configuration [rad], and what is kept of it."""
+
+
 class Problem(NamedTuple):
     """One cylinder to reach for; world frame."""
 
@@ -132,8 +136,18 @@ def plan_all(
 
 
 @partial(jax.jit, static_argnames=("reacher", "plan"))
-def _plans(reacher, plan, library, shape, p_wo, R_wo, key) -> Search:
-    def one(shape, p_wo, R_wo, key):
+def _plans(
+    reacher: Reacher,
+    plan: PlanConfig,
+    library: Library,
+    shape: Cylinder,
+    p_wo: Float[Array, "b 3"],
+    R_wo: Float[Array, "b 3 3"],
+    key: Key[Array, " b"],
+) -> Search:
+    def one(
+        shape: Cylinder, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], key: Key[Array, ""]
+    ) -> Search:
         around, home = Surroundings.still(shape, p_wo, R_wo), jnp.asarray(reacher.body.home)
         candidates = candidates_of(reacher, shape)
         return Planner(reacher, plan).search(library, candidates, around, home, key)
@@ -186,16 +200,16 @@ def sweep(
 
 
 @partial(jax.jit, static_argnames="reacher")
-def _begun(reacher, problem):
+def _begun(reacher: Reacher, problem: Problem) -> _State:
     return jax.vmap(partial(_begin, reacher))(problem)
 
 
 @partial(jax.jit, static_argnames="reacher")
-def _gone_on(reacher, problem, state):
+def _gone_on(reacher: Reacher, problem: Problem, state: _State) -> _State:
     return jax.vmap(partial(_segment, reacher))(problem, state)
 
 
-def _begin(reacher: Reacher, problem: Problem):
+def _begin(reacher: Reacher, problem: Problem) -> _State:
     q = jnp.asarray(reacher.body.home)
     candidates = candidates_of(reacher, problem.shape)
     state = reacher.start(q, candidates, problem.p_wo, problem.R_wo, problem.plans)
@@ -235,11 +249,11 @@ def empty_record(joints: int) -> ReachRecord:
     )
 
 
-def _segment(reacher: Reacher, problem: Problem, carry):
+def _segment(reacher: Reacher, problem: Problem, state: _State) -> _State:
     candidates = candidates_of(reacher, problem.shape)
     none = jnp.zeros((0, 4))
 
-    def step(carry, _):
+    def step(carry: _State, _: None) -> tuple[_State, None]:
         state, q, record = carry
         running = state.outcome == ReachOutcome.RUNNING
         after, tick = reacher.tick(
@@ -257,7 +271,7 @@ def _segment(reacher: Reacher, problem: Problem, carry):
         record = jax.tree.map(lambda a, b: jnp.where(running, a, b), new, record)
         return (after, q_after, record), None
 
-    return jax.lax.scan(step, carry, length=_SEGMENT)[0]
+    return jax.lax.scan(step, state, length=_SEGMENT)[0]
 
 
 def recorded(

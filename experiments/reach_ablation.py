@@ -16,13 +16,13 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.reach.config import SweepConfig
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS
 from mjx_grasp.evaluation.reach.run import run_sweep
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sweep_reach import SweepConfig
 
 _KEPT = (
     "rate_percent",

@@ -45,8 +45,8 @@ from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.reaching import (
-    Outcome,
     Reacher,
+    ReachOutcome,
     Surroundings,
     plan_reach,
     preset,
@@ -151,7 +151,7 @@ def main(config: RouteConfig) -> None:
     poses = _drawn_poses(model, config)
     field = distance_field(np.asarray(model.mesh.vertices), faces)
     reaches = _reach(robot, field, from_heatmap(heatmap, score, _CANDIDATES), poses)
-    handed = reaches.outcome == Outcome.HANDOFF
+    handed = reaches.outcome == ReachOutcome.HANDOFF
     reached, last = handed.any(axis=1), handed.argmax(axis=1)
     scene = build_scene([model], robot)
     success, closed = _close(scene, robot, _handoffs(model, poses, reaches, reached, last))

@@ -29,7 +29,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.run import load_controller, policy_task
-from mjx_grasp.evaluation.trajectory import record_world
+from mjx_grasp.evaluation.trajectory import Trajectory, record_world
 from mjx_grasp.evaluation.trials import paired_draws, record_trials
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.distance_field import distance_field
@@ -45,11 +45,11 @@ from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.reaching import (
+    Planner,
     Reacher,
     ReachOutcome,
     Surroundings,
-    plan_reach,
-    preset,
+    reach_preset,
     robot_body,
     start_library,
 )
@@ -61,6 +61,7 @@ from mjx_grasp.sim.scene import Scene, build_scene
 from mjx_grasp.tasks.assemble import build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.viz import frames
+from mjx_grasp.viz.camera import TURN_DEG, best_azimuth, look_at
 from mjx_grasp.viz.contact_sheet import write_png
 from mjx_grasp.viz.heatmap import Picture, Subject, draw
 from mjx_grasp.viz.raster import look_from
@@ -84,8 +85,8 @@ _LEAST_SCORE = 0.5  # of those, against the best one's: steering is to decide
 _TICKS = 600  # of a reach
 _AWAY_M = 0.15  # of the tips from their goals in the picture of reaching
 _BEFORE_LIFT = 20  # ticks before the object has risen, in the picture of closing
-_ELEVATION = np.radians(32.0)
-_AZIMUTHS = 24
+_CROP = 0.72  # of a rendered picture's side, around the object
+_ELEVATION = np.radians(30.0)
 
 
 @dataclass(frozen=True)
@@ -94,13 +95,13 @@ class RouteConfig(CommandSettings):
 
     objects_dir: Path | None = None
     """folder of real scans; parametric stand-ins without one"""
-    object: str = "sugar_box"
+    object: str = "mustard_bottle"
     """one of the catalogue"""
-    instruction: str = "by the top"
+    instruction: str = "near the bottom"
     """part or side of it"""
     sigma: Positive = 0.030
     """how near the grasp has to be to that [m]"""
-    poses: Count = 16
+    poses: Count = 12
     """of the object that are tried [-]"""
     seed: Seed = 0
     """of the poses"""
@@ -154,7 +155,7 @@ def main(config: RouteConfig) -> None:
     handed = reaches.outcome == ReachOutcome.HANDOFF
     reached, last = handed.any(axis=1), handed.argmax(axis=1)
     scene = build_scene([model], robot)
-    success, closed = _close(scene, robot, _handoffs(model, poses, reaches, reached, last))
+    success, closed = _close(scene, robot, _handoffs(robot, model, poses, reaches, reached, last))
     if not success.any():
         raise InputError("--seed", config.seed, "poses that the object is lifted from")
     first = int(np.argmax(success))
@@ -167,11 +168,10 @@ def main(config: RouteConfig) -> None:
         anchor,
         (reaches.position[shown, last[shown]] - poses.p_wo[shown]) @ poses.R_wo[shown],
     )
-    axes = _seen_from(subjects[-1], poses.R_wo[shown])
-    drawn = [draw(subject, _PIXELS, _PIXELS, axes) for subject in subjects]
     reach = jax.tree.map(lambda leaf: leaf[shown, : last[shown] + 1], reaches)
     motion = _motion(scene, reach, poses, shown, closed[:, first])
-    drawn += frames.render(record_world(scene, model.name, motion, 1.0), _PIXELS, _PIXELS, 1.0)
+    pictures, axes = _seen(record_world(scene, model.name, motion, 1.0), poses.R_wo[shown])
+    drawn = [*(draw(subject, _PIXELS, _PIXELS, axes) for subject in subjects), *pictures]
     stages = [(name, said.format(instruction=config.instruction)) for name, said in STAGES]
     write_png(config.out, _sheet(drawn, stages), 1000 * config.max_kb)
     outcome = {"poses": config.poses, "shown": shown}
@@ -191,11 +191,12 @@ def _drawn_poses(model: ObjectModel, config: RouteConfig) -> Poses:
 
 def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses: Poses) -> Reaches:
     """Reaches from home by the default controller, its commands integrated."""
-    body, settings = robot_body(robot), preset("default")
+    body, settings = robot_body(robot), reach_preset("default")
     assert settings.plan is not None
     selection = replace(settings.selection, min_score=_LEAST_SCORE)
     reacher = Reacher(body, settings.reach, selection)
     library = start_library(body, settings.plan)
+    planner = Planner(reacher, settings.plan)
     dt = settings.reach.controller.dt
 
     @jax.jit
@@ -203,10 +204,7 @@ def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses
         def one(situation) -> Reaches:
             p, R, key = situation
             around, q = Surroundings.still(field, p, R), jnp.asarray(body.home)
-            plans = plan_reach(
-                body, settings.reach, selection, settings.plan, library, candidates,
-                around, q, key,
-            ).plans  # fmt: skip
+            plans = planner.search(library, candidates, around, q, key).plans
 
             def tick(carry, _):
                 state, q = carry
@@ -231,6 +229,7 @@ def _reach(robot: RobotSpec, field: DistanceField, candidates: Candidates, poses
 
 
 def _handoffs(
+    robot: RobotSpec,
     model: ObjectModel,
     poses: Poses,
     reaches: Reaches,
@@ -258,6 +257,7 @@ def _handoffs(
         object_names=(model.name,),
         object_content_hash=(model.content_hash,),
         kind="reached",
+        robot=robot.identity,
     )
 
 
@@ -312,12 +312,17 @@ def _subjects(
     ]
 
 
-def _seen_from(subject: Subject, R_wo: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Camera axes in the object frame that show the object as it lies, its good side in front."""
-    good = np.nan_to_num(subject.score)[:, None] * subject.normals
-    around = 2.0 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
-    views = [look_from(azimuth, _ELEVATION) @ R_wo for azimuth in around]
-    return max(views, key=lambda axes: np.maximum(good @ axes[2], 0.0).sum())
+def _seen(
+    recording: Trajectory, R_wo: Float[np.ndarray, "3 3"]
+) -> tuple[list[Picture], Float[np.ndarray, "3 3"]]:
+    """Pictures of a motion, and the camera axes in the object frame that look from its side."""
+    wide = frames.render(recording, round(_PIXELS / _CROP), round(_PIXELS / _CROP), 1.0)
+    edge = (wide[0].shape[0] - _PIXELS) // 2
+    pictures = [picture[edge : edge + _PIXELS, edge : edge + _PIXELS] for picture in wide]
+    model = frames.load_model(recording)
+    targets = look_at(model, recording.qpos, recording.focus, 1.0)
+    azimuth = best_azimuth(model, recording.qpos[-1], recording.focus, targets[-1])
+    return pictures, look_from(np.radians(azimuth - 0.5 * TURN_DEG + 180.0), _ELEVATION) @ R_wo
 
 
 def _sheet(pictures: list[Picture], stages: list[tuple[str, str]]) -> Image.Image:

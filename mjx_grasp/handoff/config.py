@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
@@ -13,6 +14,7 @@ from mjx_grasp.records.settings import (
     Count,
     NonNegative,
     Positive,
+    Range,
     Seed,
     Settings,
     Share,
@@ -44,7 +46,7 @@ class PostureConfig(Settings):
 
     library: Count = 60_000
     """configurations from which the starts are taken [-]"""
-    grid: Count = 64
+    grid: Annotated[int, Range(2)] = 64
     """points along each edge of the grid of distances to the object [-]"""
     tolerance: Positive = 0.005
     """a larger tip error rejects [m]"""

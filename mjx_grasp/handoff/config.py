@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.records.settings import (
@@ -18,6 +17,7 @@ from mjx_grasp.records.settings import (
     Seed,
     Settings,
     Share,
+    Suffix,
 )
 from mjx_grasp.sim.scene import ObjectArea
 
@@ -70,7 +70,7 @@ class PostureConfig(Settings):
 class HandoffConfig(CommandSettings):
     """Settings of `python -m mjx_grasp.handoffs`."""
 
-    out: Path
+    out: Annotated[Path, Suffix((".npz",))]
     """the handoff set to write (.npz); a report (.json) is written beside it"""
     objects: tuple[str, ...] = ("eight",)
     """object names or groups: eight, train, held_out, all"""
@@ -91,8 +91,3 @@ class HandoffConfig(CommandSettings):
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.out.suffix != ".npz":
-            raise InputError("--out", str(self.out), "a file name ending in .npz")

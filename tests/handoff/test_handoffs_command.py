@@ -9,13 +9,8 @@ import pytest
 from mjx_grasp import handoffs as command
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff import make as module
-<<<<<<< HEAD
-from mjx_grasp.handoff.config import PostureConfig, SamplingConfig
-=======
->>>>>>> 1ef9c6eb397db3628615d3bb82776ff79ac2f5c5
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.report import ObjectReport
-from mjx_grasp.sim.scene import ObjectArea
 
 
 @pytest.fixture
@@ -78,26 +73,3 @@ def test_a_set_that_git_knows_does_not_make_its_own_revision_dirty(run, tmp_path
     monkeypatch.setattr(module, "provenance", provenance)
     run("--objects", "foam_brick", "--out", out)
     assert out.exists()
-<<<<<<< HEAD
-
-
-@pytest.mark.parametrize(
-    ("kind", "field", "value"),
-    [
-        (ObjectArea, "x", (0.65, 0.4)),
-        (ObjectArea, "y", (0.2, float("nan"))),
-        (SamplingConfig, "poses_per_round", 0),
-        (SamplingConfig, "candidates_per_pose", -1),
-        (SamplingConfig, "temperature", 0.0),
-        (SamplingConfig, "min_distance", -0.01),
-        (PostureConfig, "library", 0),
-        (PostureConfig, "grid", 1),
-        (PostureConfig, "tolerance", 0.0),
-    ],
-)
-def test_impossible_numbers_are_refused_by_name(kind, field, value):
-    with pytest.raises(InputError) as error:
-        kind(**{field: value})
-    assert error.value.field == f"{kind.__name__}.{field}"
-=======
->>>>>>> 1ef9c6eb397db3628615d3bb82776ff79ac2f5c5

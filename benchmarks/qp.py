@@ -31,7 +31,7 @@ from mjx_grasp.evaluation.reach.sweep import plan_all
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.config import SolverConfig
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
 from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
 from mjx_grasp.records.atomic import write_json
@@ -146,7 +146,9 @@ def drawn(name: str, config: QpBenchmarkConfig) -> tuple[QP, WarmStart]:
     plans = None
     if settings.plan:
         library = start_library(reacher.body, settings.plan)
-        plans = plan_all(reacher, settings.plan, library, poses, min(config.poses, 32)).plans
+        plans = plan_all(
+            Planner(reacher, settings.plan), library, poses, min(config.poses, 32)
+        ).plans
     return draw_problems(reacher, poses, config.per_pose, plans=plans)
 
 

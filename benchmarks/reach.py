@@ -37,7 +37,7 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp import select, standoffs
 from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep, reach_preset
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
@@ -261,7 +261,11 @@ def plans_of(
     # The first one traces and compiles.
     done: list[float] = []
     found = plan_all(
-        reacher, settings.plan, library, some, 1, lambda _: done.append(time.perf_counter())
+        Planner(reacher, settings.plan),
+        library,
+        some,
+        1,
+        lambda _: done.append(time.perf_counter()),
     )
     seconds = (done[-1] - done[0]) * few / (few - 1)
     count = len(poses.radius)

@@ -13,7 +13,6 @@ import tyro
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.closing.config import StartNoise
 from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.evaluation.trajectory import save_trajectory
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -22,6 +21,7 @@ from mjx_grasp.records.settings import CommandSettings, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training.after import best_grasp
 from mjx_grasp.viz.rendering import VideoConfig, render_in_subprocess
 

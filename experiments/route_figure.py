@@ -49,6 +49,7 @@ from mjx_grasp.reaching import (
     Reacher,
     ReachOutcome,
     Surroundings,
+    reach_preset,
     robot_body,
     start_library,
 )

@@ -103,6 +103,19 @@ def steering(path: Path) -> str:
     return Table("Steering", ("object", "instruction", *labels), rows, names=2).markdown()
 
 
+def route(path: Path) -> str:
+    """What came of the poses that were tried for the picture of the route."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    name = d["object"].replace("_", " ")
+    return (
+        f"{d['poses']} random poses of one object ({name}, {d['mesh']}, “{d['instruction']}”): "
+        f"{d['handed_off']} reaches handed off, and from {d['lifted']} of these handoffs the "
+        "shipped policy lifted the object. The picture shows the first of those."
+    )
+
+
 def first_run(path: Path) -> str:
     """What `make train` took from a fresh clone, and what it learned."""
     d = read(path)

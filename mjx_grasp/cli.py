@@ -29,6 +29,9 @@ def run_command(command: Callable[[], None]) -> None:
     except MjxGraspError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+    except MemoryError as error:
+        print(f"error: not enough memory ({error})", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt as interrupt:
         print(str(interrupt) or "interrupted", file=sys.stderr)
         _end_now(_INTERRUPTED)

@@ -3,13 +3,12 @@
 import copy
 import inspect
 import sys
-from typing import get_args
 
 import pytest
 import walk
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.records.settings import Range, Settings, _hints, from_record, to_record
+from mjx_grasp.records.settings import Settings, _hints, from_record, to_record
 
 CLASSES = walk.settings_classes()
 
@@ -37,20 +36,9 @@ def test_what_no_field_may_be_is_refused_by_its_name(kind):
             assert refusal.value.expected
 
 
-def numbers(hint, ranged=False):
-    """Whether each number in a type has a range."""
-    inner, extras = walk.bare(hint)
-    ranged = ranged or walk.one_of(extras, Range) is not None
-    if inner in (int, float):
-        yield ranged
-    for argument in get_args(inner):
-        if not isinstance(argument, str):
-            yield from numbers(argument)
-
-
 @pytest.mark.parametrize("kind", CLASSES, ids=names(CLASSES))
 def test_every_number_has_a_range(kind):
-    without = [name for name, hint in _hints(kind).items() if not all(numbers(hint))]
+    without = [name for name, hint in _hints(kind).items() if not all(walk.numbers(hint))]
     assert not without
 
 

@@ -1,6 +1,8 @@
 """Data pass through the packages in one order; what is imported goes against it nowhere."""
 
 import ast
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -157,3 +159,19 @@ def test_nothing_in_the_package_takes_a_robot_of_its_own():
     assert calls_without_arguments("spec.load_robot()\nload_robot(name)", "load_robot") == [1]
     for module, text in SOURCES.items():
         assert calls_without_arguments(text, "load_robot") == [], module
+
+
+SCRIPTS = [p for f in ("experiments", "benchmarks", "examples") for p in (ROOT / f).glob("*.py")]
+
+
+@pytest.mark.parametrize(
+    "path", sorted(SCRIPTS), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_scripts_import_what_there_is(path):
+    """Nobody runs all of them after a name has moved."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == "mjx_grasp":
+            module = import_module(node.module)
+            for alias in node.names:
+                found = hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}")
+                assert found, f"{node.module} has no {alias.name}"

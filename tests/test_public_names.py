@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -44,18 +45,10 @@ def test_a_type_checker_knows_the_types(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     script = tmp_path / "script.py"
     script.write_text("import mjx_grasp\nreveal_type(mjx_grasp.load_robot)\nmjx_grasp.grasp_it\n")
-    said = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mypy",
-            "--ignore-missing-imports",
-            "--follow-imports=silent",
-            script,
-        ],
-        capture_output=True,
-        text=True,
-    ).stdout
+    flags = "--ignore-missing-imports", "--follow-imports=silent"
+    command = [sys.executable, "-m", "mypy", *flags, script]
+    environment = os.environ | {"MYPYPATH": str(Path(mjx_grasp.__file__).parent.parent)}
+    said = subprocess.run(command, capture_output=True, text=True, env=environment).stdout
     assert "RobotSpec" in said and 'has no attribute "grasp_it"' in said, said
 
 

@@ -135,6 +135,9 @@ def test_the_stages_before_closing_have_their_tables(root):
         steering | {"steering": "in line", "sigma_m": 0.02, "contacts_mm": 17.6},
     ]
     (results / "steering.json").write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
+    route = {"object": "golf_ball", "mesh": "scan", "instruction": "the top", "poses": 12}
+    route |= {"handed_off": 9, "lifted": 5, "provenance": PROVENANCE}
+    (results / "route.json").write_text(json.dumps(route))
     first = {"setup_s": 60.0, "train_s": 420.0, "total_s": 480.0, "training_s": 300.0}
     first |= {"env_steps": 983040, "return_first_tenth": 862.0, "return_last_tenth": 1134.0}
     first |= {"success_first_tenth_percent": 34.0, "success_last_tenth_percent": 75.0}
@@ -164,6 +167,8 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "| mug | by the handle | 51 | 18 |" in detail
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
+    assert "12 random poses of one object (golf ball, scan, “the top”): 9 reaches" in detail
+    assert "from 5 of these handoffs" in detail
     assert "rose from 862 to 1134" in detail
     assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
 

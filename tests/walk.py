@@ -42,6 +42,16 @@ def one_of(extras, kind):
     return next((e for e in extras if isinstance(e, kind)), None)
 
 
+def numbers(hint):
+    """Of each number in a type whether it has a range."""
+    inner, extras = bare(hint)
+    if inner in (int, float):
+        yield one_of(extras, Range) is not None
+    for argument in get_args(inner):
+        if get_origin(inner) is not Literal:
+            yield from numbers(argument)
+
+
 def possible(hint):
     """A value that a field of a type may have."""
     inner, extras = bare(hint)

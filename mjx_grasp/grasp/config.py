@@ -22,7 +22,7 @@ class TargetConfig(Settings):
     """|u × g| below which a reach direction does not spread the wraps [-]"""
     min_height: Finite = 0.015
     """no contact or target lower than this above the table [m]"""
-    min_goal_height: Annotated[float, Range(finite=False)] = -float("inf")
+    min_goal_height: Annotated[float, Range(high=1, finite=False)] = -float("inf")
     """nor any standoff target, to which the tips go first; the paper does not ask for this [m]"""
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.records.settings import (
@@ -13,9 +13,11 @@ from mjx_grasp.records.settings import (
     Count,
     NonNegative,
     Positive,
+    Range,
     Seed,
     Settings,
     Share,
+    Suffix,
 )
 from mjx_grasp.sim.scene import ObjectArea
 
@@ -44,7 +46,7 @@ class PostureConfig(Settings):
 
     library: Count = 60_000
     """configurations from which the starts are taken [-]"""
-    grid: Count = 64
+    grid: Annotated[int, Range(2)] = 64
     """points along each edge of the grid of distances to the object [-]"""
     tolerance: Positive = 0.005
     """a larger tip error rejects [m]"""
@@ -68,7 +70,7 @@ class PostureConfig(Settings):
 class HandoffConfig(CommandSettings):
     """Settings of `python -m mjx_grasp.handoffs`."""
 
-    out: Path
+    out: Annotated[Path, Suffix((".npz",))]
     """the handoff set to write (.npz); a report (.json) is written beside it"""
     objects: tuple[str, ...] = ("eight",)
     """object names or groups: eight, train, held_out, all"""
@@ -89,8 +91,3 @@ class HandoffConfig(CommandSettings):
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.out.suffix != ".npz":
-            raise InputError("--out", str(self.out), "a file name ending in .npz")

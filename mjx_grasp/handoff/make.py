@@ -12,7 +12,7 @@ from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.model import load_object, stand_in_hash
+from mjx_grasp.objects.model import load_objects, stand_in_hash
 from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
@@ -47,17 +47,18 @@ def make_handoffs(
         kept = before.select([n for n in before.object_names if n not in names])
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
+    objects = load_objects(names, config.objects_dir)
     generator = HandoffGenerator(robot, config)
     with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)
-        for done, name in enumerate(names):
-            task = progress.add_task(name, total=config.per_object)
+        for done, obj in enumerate(objects):
+            task = progress.add_task(obj.name, total=config.per_object)
 
             def show(kept: int, task: TaskID = task, done: int = done) -> None:
                 progress.update(task, completed=kept)
                 progress.update(everything, completed=done * config.per_object + kept)
 
-            handoffs, report = generator.generate(load_object(name, config.objects_dir), show)
+            handoffs, report = generator.generate(obj, show)
             progress.update(task, visible=False)
             progress.update(everything, completed=(done + 1) * config.per_object)
             sets.append(handoffs)

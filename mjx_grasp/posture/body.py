@@ -57,14 +57,14 @@ class Body:
     opposing_axis: Float[np.ndarray, " 3"]
     """whose angle to the grasp axis is weighed, in the palm's frame"""
     hand_capsules: Solids
-    fingers: Int[np.ndarray, "fingers k"]
+    fingers: Int[np.ndarray, "fingers links"]
     """hand capsules of each finger, padded by repetition"""
     palm_points: Solids
     arm_capsules: Solids
-    pairs: Int[np.ndarray, "rows k 2"]
+    pairs: Int[np.ndarray, "finger_pairs link_pairs 2"]
     """pairs of hand capsules of different fingers, one row per pair of fingers"""
     pair_names: tuple[str, ...]
-    arm_pairs: Int[np.ndarray, "rows k 2"]
+    arm_pairs: Int[np.ndarray, "arm_links arm_pairs 2"]
     """pairs of arm capsules that are not neighbours, one row per outer link"""
     hand_spheres: Solids
     """points that fill the hand, few and inside its shapes"""

@@ -103,7 +103,7 @@ class LimitConfig(Settings):
     """time over which position limits and clearances are looked ahead [s]"""
     clearances: ClearanceConfig = field(default_factory=ClearanceConfig)
     """how far to keep from things"""
-    escape_speed: PositiveOrNever = 0.35
+    escape_speed: Positive = 0.35
     """at most, asked for where a clearance is violated [m/s]"""
     margin: NonNegative = 0.0
     """half-spaces ask for this much more than the clearances, so that these themselves hold: a

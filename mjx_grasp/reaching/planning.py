@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.linear import full_precision
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
@@ -103,13 +104,14 @@ def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConf
 
 
 @jax.tree_util.register_static
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Planner:
     """Looks for ways that a reaching controller can go; static under jit."""
 
     reacher: Reacher
     config: PlanConfig
 
+    @full_precision
     def search(
         self,
         library: Library,
@@ -127,18 +129,6 @@ class Planner:
             q: Present configuration, [rad].
             key: Chooses among the library's entries around the object.
         """
-        # No accelerator shall round products of small matrices to TF32.
-        with jax.default_matmul_precision("highest"):
-            return self._search(library, candidates, around, q, key)
-
-    def _search(
-        self,
-        library: Library,
-        candidates: Candidates,
-        around: Surroundings,
-        q: Float[Array, " joints"],
-        key: Array,
-    ) -> Search:
         plan, body = self.config, self.reacher.body
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options

@@ -40,7 +40,7 @@ class Section:
             content = yaml.safe_load(path.read_text())
         except OSError as error:
             raise FileError(path, error.strerror or "no file", "a robot description") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
             found = " ".join(str(error).split())
             raise FileError(path, f"no valid YAML ({found})", "a robot description") from error
         return cls(path, content)

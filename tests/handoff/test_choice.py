@@ -7,59 +7,53 @@ import numpy as np
 import pytest
 from test_handoff_dataset import equal, some
 
-from mjx_grasp.handoff.config import HandoffConfig, IkConfig
+from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.generate import HandoffGenerator, _Accepted
 from mjx_grasp.handoff.states import eligible, states_of
 
-BAD, GOOD = 1.0, 0.0  # residuals on either side of the tolerance [m]
+BAD, GOOD = 1.0, 0.0  # errors on either side of the tolerance [m]
 
 
-def first_clear(residual, *, variant=(2, 2), axis=1, usable=(True,) * 6, limit=False, hit=None):
+def first_clear(error, *, agrees=(True, True), usable=(True, True), limit=False, hit=None):
     """Two starts, the second one cheaper; the choice and the reason against it."""
-    starts = len(variant)
-    solution = SimpleNamespace(
-        cost=np.arange(starts)[::-1],
-        residual=np.array(residual)[:, None] * np.ones(3),
-        at_limit=np.full(starts, limit),
-        q=np.arange(starts),
+    cost = np.where(usable, [1.0, 0.0], np.inf)
+    found = SimpleNamespace(
+        cost=cost,
+        error=np.array(error)[:, None] * np.ones(3),
+        at_limit=np.full(2, limit),
+        agrees=np.array(agrees),
+        q=np.arange(2),
     )
-    config = SimpleNamespace(_config=HandoffConfig(out=Path("x.npz"), ik=IkConfig()))
-    return HandoffGenerator._first_clear(
-        config,
-        solution,
-        np.full(starts, axis),
-        np.array(variant),
-        np.array(usable),
-        lambda q: (hit or {}).get(int(q)),
-    )
+    generator = SimpleNamespace(_config=HandoffConfig(out=Path("x.npz")))
+    return HandoffGenerator._first_clear(generator, found, lambda q: (hit or {}).get(int(q)))
 
 
 def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
     assert first_clear([GOOD, GOOD]) == (1, None)
     assert first_clear([GOOD, BAD]) == (0, None)
     assert first_clear([GOOD, GOOD], hit={1: "hand-table"}) == (0, None)
-    assert first_clear([GOOD, GOOD], variant=(2, 4)) == (0, None)  # the other has another axis
-    assert first_clear([GOOD, GOOD], variant=(2, 3), usable=(True,) * 3 + (False,) * 3) == (0, None)
+    assert first_clear([GOOD, GOOD], agrees=(True, False)) == (0, None)
+    assert first_clear([GOOD, GOOD], usable=(True, False)) == (0, None)
 
 
 @pytest.mark.parametrize(
     ("reason", "change"),
     [
-        ("unreachable", {"residual": [BAD, BAD]}),
-        ("limits", {"residual": [BAD, BAD], "limit": True}),
-        ("reach-axis", {"residual": [BAD, GOOD], "axis": 0}),
-        ("hand-object", {"residual": [BAD, GOOD], "hit": {1: "hand-object"}}),
-        ("self", {"residual": [GOOD, GOOD], "hit": {0: "self"}, "variant": (2, 4)}),
+        ("unreachable", {"error": [BAD, BAD]}),
+        ("limits", {"error": [BAD, BAD], "limit": True}),
+        ("reach-axis", {"error": [BAD, GOOD], "agrees": (False, False)}),
+        ("hand-object", {"error": [BAD, GOOD], "hit": {1: "hand-object"}}),
+        ("self", {"error": [GOOD, GOOD], "hit": {0: "self"}, "agrees": (True, False)}),
     ],
 )
 def test_a_refused_candidate_says_what_met_the_start_that_got_farthest(reason, change):
-    assert first_clear(**change) == (None, reason)
+    assert first_clear(**change)[1] == reason
 
 
 def test_few_states_of_each_candidate_and_one_of_every_pose_first():
     config = HandoffConfig(out=Path("x.npz"), per_object=6, max_per_candidate=2)
     pairs = [(pose, candidate) for pose in range(4) for candidate in (7, 8, 9)]
-    accepted = [_Accepted(pose, 0, candidate, {}) for pose, candidate in pairs]
+    accepted = [_Accepted(pose, candidate, {}) for pose, candidate in pairs]
     chosen = HandoffGenerator._choose(SimpleNamespace(_config=config), accepted)
     # The first candidate of every pose is the same one: it is used twice.
     assert [(s.pose, s.candidate) for s in chosen[:2]] == [(0, 7), (1, 7)]

@@ -3,6 +3,7 @@ import json
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from typed import refusal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.handoff.config import HandoffConfig, IkConfig, SamplingConfig
+from mjx_grasp.handoff.config import HandoffConfig, PostureConfig, SamplingConfig
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.report import OUTCOMES, report_table
@@ -20,7 +21,7 @@ from mjx_grasp.sim.scene import build_scene
 
 SMALL = {
     "sampling": SamplingConfig(poses_per_round=16, candidates_per_pose=2),
-    "ik": IkConfig(library_size=4000, restarts=3),
+    "posture": PostureConfig(library=4000, starts=replace(PostureConfig().starts, count=3)),
 }
 WANTED = 12
 
@@ -59,7 +60,7 @@ def rotation(quat):
 def test_enough_states_in_the_object_area_at_rest(generated, config, brick):
     handoffs, report = generated
     assert len(handoffs) == report.kept == WANTED
-    (x0, x1), (y0, y1) = config.sampling.x_range, config.sampling.y_range
+    (x0, x1), (y0, y1) = config.sampling.area.x, config.sampling.area.y
     x, y, z = handoffs.object_pos.T
     assert np.all((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
     heights = np.array([pose.height for pose in brick.resting])
@@ -111,7 +112,8 @@ def test_joints_are_within_their_limits_and_the_margin(generated, config):
     model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
     limits = np.array([model.joint(name).range for name in robot.joints])
     solved = set(robot.arm.joints).union(*(f.joints for f in robot.hand.fingers))
-    margin = np.where([n in solved for n in robot.joints], config.ik.limit_margin - 1e-6, -1e-6)
+    kept = config.posture.clearances.joint_limits - 1e-6
+    margin = np.where([n in solved for n in robot.joints], kept, -1e-6)
     assert np.all(handoffs.q >= limits[:, 0] + margin)
     assert np.all(handoffs.q <= limits[:, 1] - margin)
 
@@ -159,7 +161,7 @@ def test_an_object_without_any_is_not_eligible(generator):
 
 
 @pytest.mark.parametrize(
-    ("change", "field"), [({"per_object": 0}, "per_object"), ({"out": "set.txt"}, "out")]
+    ("change", "field"), [({"per_object": 0}, "--per-object"), ({"out": "set.txt"}, "--out")]
 )
 def test_bad_settings_are_refused_by_name(config, change, field):
     from pathlib import Path
@@ -182,14 +184,14 @@ def command(*arguments):
 def test_the_command_writes_a_set_and_its_report(tmp_path, monkeypatch, capsys):
     out = tmp_path / "brick.npz"
     small = ["--sampling.poses-per-round", 16, "--sampling.candidates-per-pose", 3]
-    small += ["--ik.library-size", 3000, "--ik.restarts", 3, "--max-rounds", 3]
+    small += ["--posture.library", 3000, "--posture.starts.count", 3, "--max-rounds", 3]
     done = command("--objects", "foam_brick", "--per-object", 6, "--seed", 2, "--out", out, *small)
     assert done.returncode == 0, done.stderr
     handoffs = load_handoffs(out, [load_object("foam_brick")])
     assert handoffs.counts() == {"foam_brick": 6}
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["objects"][0]["kept"] == 6 and report["not_eligible"] == []
-    assert report["config"]["ik"]["library_size"] == 3000
+    assert report["config"]["posture"]["library"] == 3000
     assert report["provenance"]["seed"] == 2
     assert "foam_brick" in done.stdout and "6 states of 1 objects" in done.stdout
 

@@ -4,63 +4,66 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from mjx_grasp.robot.arrays import robot_arrays
-from mjx_grasp.robot.postures import draw_postures
-from mjx_grasp.robot.spheres import own_clearance
 
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.errors import InputError
+from mjx_grasp.posture.body import FINGERS, PALM
+from mjx_grasp.posture.draw import draw_postures
+from mjx_grasp.posture.surroundings import placed
+from mjx_grasp.sim.scene import ObjectArea
 
-COUNT = 96
-AREA = (0.40, 0.65), (-0.25, 0.25)
-
-
-@pytest.fixture(scope="module")
-def arrays():
-    return robot_arrays(load_robot())
+COUNT, AREA = 96, ObjectArea()
 
 
 @pytest.fixture(scope="module")
-def postures(arrays):
-    return draw_postures(arrays, COUNT, *AREA, seed=1)
+def postures(body):
+    return draw_postures(body, COUNT, AREA, seed=1)
 
 
 @pytest.fixture(scope="module")
-def centres(arrays, postures):
-    frames = jax.vmap(arrays.kinematics.forward)(postures)
-    return np.asarray(jax.vmap(arrays.sphere_centres)(*frames))
+def centres(body, postures):
+    def at(q):
+        return placed(body.hand_spheres, body.kinematics.motion(q))[0]
+
+    return np.asarray(jax.jit(jax.vmap(at))(postures))
 
 
-def test_the_hand_is_over_the_object_area_and_about_to_grasp(arrays, postures):
-    pos, mat = jax.vmap(arrays.kinematics.forward)(postures)
-    tips, pads = np.asarray(pos[:, :3]), np.asarray(mat[:, 3:6, :, 0])
+def test_the_hand_is_over_the_object_area_and_about_to_grasp(body, postures):
+    pos, mat = jax.vmap(body.kinematics.forward)(postures)
+    tips, pads = np.asarray(pos[:, :FINGERS]), np.asarray(mat[:, FINGERS:PALM, :, 0])
     assert tips[:, :, 2].min() > 0.02
     middle = tips.mean(axis=1)
-    for axis, (low, high) in enumerate(AREA):
+    for axis, (low, high) in enumerate((AREA.x, AREA.y)):
         # Starts, not solutions: a hand's width around the area will do.
         assert middle[:, axis].min() > low - 0.13 and middle[:, axis].max() < high + 0.13
     assert np.all(np.sum(pads[:, :1] * pads[:, 1:], axis=-1) < -0.29)
-    assert np.all(postures >= arrays.lower - 1e-6) and np.all(postures <= arrays.upper + 1e-6)
+    assert np.all(postures >= body.lower - 1e-6) and np.all(postures <= body.upper + 1e-6)
 
 
-def test_they_depend_on_the_seed_alone(arrays, postures):
-    assert np.array_equal(draw_postures(arrays, COUNT, *AREA, seed=1), postures)
-    assert not np.array_equal(draw_postures(arrays, COUNT, *AREA, seed=2), postures)
+def test_they_depend_on_the_seed_alone(body, postures):
+    assert np.array_equal(draw_postures(body, COUNT, AREA, seed=1), postures)
+    assert not np.array_equal(draw_postures(body, COUNT, AREA, seed=2), postures)
 
 
-def test_they_lie_inside_the_hands_shapes(arrays, postures, centres):
-    robot = load_robot()
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+def test_what_the_robot_does_not_reach_has_none(body, monkeypatch):
+    monkeypatch.setattr("mjx_grasp.posture.draw._MAX_BATCHES", 8)
+    with pytest.raises(InputError, match="arm postures over the object area"):
+        draw_postures(body, COUNT, ObjectArea(x=(5.0, 6.0)), seed=1)
+
+
+def test_spheres_lie_inside_the_hands_shapes(body, postures, centres):
+    model = mujoco.MjModel.from_xml_path(str(body.robot.mjcf))
     data = mujoco.MjData(model)
-    palm = model.body(robot.hand.palm_body).id
+    palm = model.body(body.robot.hand.palm_body).id
+    radius = body.hand_spheres.radius
     for k in range(0, COUNT, 19):
         data.qpos[:] = postures[k]
         mujoco.mj_kinematics(model, data)
-        best = np.full(len(arrays.spheres.radius), np.inf)
+        best = np.full(len(radius), np.inf)
         for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
-            while body not in (palm, 0):
-                body = int(model.body_parentid[body])
-            if body == 0:
+            link = int(model.geom_bodyid[geom])
+            while link not in (palm, 0):
+                link = int(model.body_parentid[link])
+            if link == 0:
                 continue
             local = (centres[k] - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
             size = model.geom_size[geom]
@@ -69,20 +72,13 @@ def test_they_lie_inside_the_hands_shapes(arrays, postures, centres):
                 outside = np.hypot(np.linalg.norm(local[:, :2], axis=1), beyond) - size[0]
             else:
                 outside = (np.abs(local) - size).max(axis=1)
-            best = np.minimum(best, outside + arrays.spheres.radius)
+            best = np.minimum(best, outside + radius)
         assert best.max() < 1e-5
 
 
-def test_own_clearance_is_the_distance_to_the_nearest_foreign_sphere(arrays, centres):
-    spheres = arrays.spheres
-    for centre in centres[:5]:
-        distance, away = map(np.asarray, own_clearance(spheres, np.float32(centre)))
-        gap = np.linalg.norm(centre[:, None] - centre, axis=-1) - spheres.radius
-        gap[~spheres.apart] = np.inf
-        assert np.allclose(distance, np.minimum(gap.min(axis=1), 1.0), atol=1e-5)
-        nearest = gap.argmin(axis=1)
-        direction = centre - centre[nearest]
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        known = np.isfinite(gap.min(axis=1))
-        assert known.sum() > 30
-        assert np.allclose(away[known], direction[known], atol=1e-3)
+def test_no_two_spheres_overlap_that_must_not(body, centres):
+    radius, apart = body.hand_spheres.radius, body.apart
+    assert np.array_equal(apart, apart.T) and apart.any() and not apart.diagonal().any()
+    for centre in centres:
+        gap = np.linalg.norm(centre[:, None] - centre, axis=-1) - radius - radius[:, None]
+        assert gap[apart].min() > -1e-5

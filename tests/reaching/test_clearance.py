@@ -14,7 +14,7 @@ from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import scaled_back
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
 
 ROUNDING = 1e-6
@@ -122,7 +122,7 @@ def test_reaches_that_rocked_into_the_object(body):
     rows = np.array([424, 1832, 2504, 1550, 1290])
     poses = jax.tree.map(lambda leaf: leaf[rows], draw_poses(2752, 2752))
     library = start_library(body, settings.plan)
-    plans = plan_all(reacher, settings.plan, library, poses, len(rows)).plans
+    plans = plan_all(Planner(reacher, settings.plan), library, poses, len(rows)).plans
     record = sweep(reacher, poses, plans, len(rows))
     assert record.object_distance.min() >= settings.reach.limits.clearances.object - ROUNDING
     # How many reach is measured by the sweep; which of these hard ones do changes with their plans.

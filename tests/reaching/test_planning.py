@@ -18,7 +18,7 @@ from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import Tracked, follow, track
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
@@ -35,7 +35,7 @@ def planned(body):
     library = start_library(body, plan)
 
     def search(poses):
-        return plan_all(reacher, plan, library, poses, COUNT)
+        return plan_all(Planner(reacher, plan), library, poses, COUNT)
 
     return reacher, plan, poses, search(poses), search
 

@@ -16,7 +16,7 @@ from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import PlanConfig, start_library
+from mjx_grasp.reaching.planning import PlanConfig, Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
 from mjx_grasp.robot.spec import RobotSpec
@@ -75,8 +75,7 @@ def run_sweep(
             progress.update(task, visible=False)
             task = progress.add_task("inverse kinematics", total=count)
             found = plan_all(
-                reacher,
-                plan,
+                Planner(reacher, plan),
                 library,
                 poses,
                 min(chunk, 32) if on_cpu else min(chunk, 256),

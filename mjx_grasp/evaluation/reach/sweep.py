@@ -9,14 +9,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
-from mjx_grasp.reaching.planning import Library, PlanConfig, Planner, Search
+from mjx_grasp.reaching.planning import Library, Planner, Search
 
 TOLERANCES = (0.010, 0.015, 0.020, 0.030, 0.050)
 """Of the table, [m]."""
@@ -82,10 +82,6 @@ class ReachRecord(NamedTuple):
     """that error [m]"""
 
 
-_State = tuple[ReachState, Float[Array, "*b joints"], ReachRecord]
-"""Where a reach is, its configuration [rad], and what is kept of it."""
-
-
 class Problem(NamedTuple):
     """One cylinder to reach for; world frame."""
 
@@ -99,14 +95,17 @@ class Problem(NamedTuple):
     """ways to reach it, or None"""
 
 
+_Reached = tuple[ReachState, Float[Array, " joints"], ReachRecord]
+"""A reach under way: state, configuration [rad], record."""
+
+
 def candidates_of(reacher: Reacher, shape: Cylinder) -> Candidates:
     """Candidates on a cylinder for a robot's hand."""
     return cylinder_candidates(shape.radius, shape.half_length, reacher.body.robot.hand.span)
 
 
 def plan_all(
-    reacher: Reacher,
-    plan: PlanConfig,
+    planner: Planner,
     library: Library,
     poses: CylinderPoses,
     chunk: int,
@@ -115,44 +114,43 @@ def plan_all(
     """Plans for every pose from home, in chunks of one compiled size.
 
     Args:
-        reacher: The controller.
-        plan: How hard to look.
+        planner: Of the controller.
         library: From :func:`start_library`.
         poses: The cylinders.
         chunk: Poses at a time.
         progress: Told how many are done.
     """
     count = len(poses.radius)
-    keys = jax.random.split(jax.random.key(plan.seed), count)
+    keys = jax.random.split(jax.random.key(planner.config.seed), count)
     found = []
     for first in range(0, count, chunk):
         rows = _rows(first, chunk, count)
         shape = Cylinder(poses.radius[rows], poses.half_length[rows])
-        part = _plans(reacher, plan, library, shape, poses.p_wo[rows], poses.R_wo[rows], keys[rows])
+        part = _plans(planner, library, shape, poses.p_wo[rows], poses.R_wo[rows], keys[rows])
         kept = min(chunk, count - first)
         found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
         progress(first + kept)
     return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
 
-@partial(jax.jit, static_argnames=("reacher", "plan"))
+@partial(jax.jit, static_argnames="planner")
 def _plans(
-    reacher: Reacher,
-    plan: PlanConfig,
+    planner: Planner,
     library: Library,
     shape: Cylinder,
-    p_wo: Float[Array, "b 3"],
-    R_wo: Float[Array, "b 3 3"],
-    key: Key[Array, " b"],
+    p_wo: Float[Array, "n 3"],
+    R_wo: Float[Array, "n 3 3"],
+    keys: Array,
 ) -> Search:
-    def one(
-        shape: Cylinder, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], key: Key[Array, ""]
-    ) -> Search:
-        around, home = Surroundings.still(shape, p_wo, R_wo), jnp.asarray(reacher.body.home)
-        candidates = candidates_of(reacher, shape)
-        return Planner(reacher, plan).search(library, candidates, around, home, key)
+    home = jnp.asarray(planner.reacher.body.home)
 
-    return jax.vmap(one)(shape, p_wo, R_wo, key)
+    def one(
+        shape: Cylinder, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], key: Array
+    ) -> Search:
+        around = Surroundings.still(shape, p_wo, R_wo)
+        return planner.search(library, candidates_of(planner.reacher, shape), around, home, key)
+
+    return jax.vmap(one)(shape, p_wo, R_wo, keys)
 
 
 def _rows(first: int, chunk: int, count: int) -> np.ndarray:
@@ -200,16 +198,16 @@ def sweep(
 
 
 @partial(jax.jit, static_argnames="reacher")
-def _begun(reacher: Reacher, problem: Problem) -> _State:
+def _begun(reacher: Reacher, problem: Problem) -> _Reached:
     return jax.vmap(partial(_begin, reacher))(problem)
 
 
 @partial(jax.jit, static_argnames="reacher")
-def _gone_on(reacher: Reacher, problem: Problem, state: _State) -> _State:
+def _gone_on(reacher: Reacher, problem: Problem, state: _Reached) -> _Reached:
     return jax.vmap(partial(_segment, reacher))(problem, state)
 
 
-def _begin(reacher: Reacher, problem: Problem) -> _State:
+def _begin(reacher: Reacher, problem: Problem) -> _Reached:
     q = jnp.asarray(reacher.body.home)
     candidates = candidates_of(reacher, problem.shape)
     state = reacher.start(q, candidates, problem.p_wo, problem.R_wo, problem.plans)
@@ -249,11 +247,11 @@ def empty_record(joints: int) -> ReachRecord:
     )
 
 
-def _segment(reacher: Reacher, problem: Problem, state: _State) -> _State:
+def _segment(reacher: Reacher, problem: Problem, carry: _Reached) -> _Reached:
     candidates = candidates_of(reacher, problem.shape)
     none = jnp.zeros((0, 4))
 
-    def step(carry: _State, _: None) -> tuple[_State, None]:
+    def step(carry: _Reached, _: None) -> tuple[_Reached, None]:
         state, q, record = carry
         running = state.outcome == ReachOutcome.RUNNING
         after, tick = reacher.tick(
@@ -271,7 +269,7 @@ def _segment(reacher: Reacher, problem: Problem, state: _State) -> _State:
         record = jax.tree.map(lambda a, b: jnp.where(running, a, b), new, record)
         return (after, q_after, record), None
 
-    return jax.lax.scan(step, state, length=_SEGMENT)[0]
+    return jax.lax.scan(step, carry, length=_SEGMENT)[0]
 
 
 def recorded(

@@ -5,7 +5,7 @@
 Everything in it is computed: the heatmap of the object, steered by an instruction; reaches for
 several poses of the object, the commands of the reaching controller integrated; and closing and
 lifting by the shipped policy in native MuJoCo from the postures in which the reaches hand off. The
-picture shows the first pose from which the object is lifted; the results file says what came of
+picture shows one of the poses from which the object is lifted; the results file says what came of
 all of them.
 """
 
@@ -55,7 +55,7 @@ from mjx_grasp.reaching import (
 )
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed
+from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, WholeNumber
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import Scene, build_scene
 from mjx_grasp.tasks.assemble import build_world
@@ -95,9 +95,9 @@ class RouteConfig(CommandSettings):
 
     objects_dir: Path | None = None
     """folder of real scans; parametric stand-ins without one"""
-    object: str = "mustard_bottle"
+    object: str = "tomato_soup_can"
     """one of the catalogue"""
-    instruction: str = "near the bottom"
+    instruction: str = "near the top"
     """part or side of it"""
     sigma: Positive = 0.030
     """how near the grasp has to be to that [m]"""
@@ -105,6 +105,8 @@ class RouteConfig(CommandSettings):
     """of the object that are tried [-]"""
     seed: Seed = 0
     """of the poses"""
+    shown: WholeNumber = 3
+    """which of the poses that it is lifted from is drawn [-]"""
     out: Path = Path("docs/route.png")
     """the picture"""
     results: Path = Path("experiments/results/route.json")
@@ -156,10 +158,12 @@ def main(config: RouteConfig) -> None:
     reached, last = handed.any(axis=1), handed.argmax(axis=1)
     scene = build_scene([model], robot)
     success, closed = _close(scene, robot, _handoffs(robot, model, poses, reaches, reached, last))
-    if not success.any():
-        raise InputError("--seed", config.seed, "poses that the object is lifted from")
-    first = int(np.argmax(success))
-    shown = int(np.flatnonzero(reached)[first])
+    if config.shown >= success.sum():
+        raise InputError(
+            "--shown", config.shown, f"less than {success.sum()}, the poses lifted from"
+        )
+    row = int(np.flatnonzero(success)[config.shown])
+    shown = int(np.flatnonzero(reached)[row])
 
     subjects = _subjects(
         jax.tree.map(np.asarray, heatmap),
@@ -169,7 +173,7 @@ def main(config: RouteConfig) -> None:
         (reaches.position[shown, last[shown]] - poses.p_wo[shown]) @ poses.R_wo[shown],
     )
     reach = jax.tree.map(lambda leaf: leaf[shown, : last[shown] + 1], reaches)
-    motion = _motion(scene, reach, poses, shown, closed[:, first])
+    motion = _motion(scene, reach, poses, shown, closed[:, row])
     pictures, axes = _seen(record_world(scene, model.name, motion, 1.0), poses.R_wo[shown])
     drawn = [*(draw(subject, _PIXELS, _PIXELS, axes) for subject in subjects), *pictures]
     stages = [(name, said.format(instruction=config.instruction)) for name, said in STAGES]
@@ -286,7 +290,12 @@ def _motion(
     height = closed[:, at.object_qpos[2]]
     rising = int(np.argmax(height > height[0] + 0.01))
     near = int(np.argmax(reach.away < _AWAY_M))
-    ticks = (reaching[near], reaching[-1], closed[max(rising - _BEFORE_LIFT, 0)], closed[-1])
+    ticks = (
+        reaching[near],
+        reaching[-1],
+        closed[max(rising - _BEFORE_LIFT, 0)],
+        closed[np.argmax(height)],
+    )
     return np.stack(ticks)
 
 

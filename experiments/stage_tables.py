@@ -112,7 +112,7 @@ def route(path: Path) -> str:
     return (
         f"{d['poses']} random poses of one object ({name}, {d['mesh']}, “{d['instruction']}”): "
         f"{d['handed_off']} reaches handed off, and from {d['lifted']} of these handoffs the "
-        "shipped policy lifted the object. The picture shows the first of those."
+        "shipped policy lifted the object. The picture shows one of those."
     )
 
 

@@ -5,13 +5,9 @@ importing the package starts no device and prints nothing.
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-try:
-    __version__ = version("mjx_grasp")
-except PackageNotFoundError:  # a source tree that is not installed
-    __version__ = "0.0.0"
+__version__: str
 
 _PUBLIC = {
     # Objects
@@ -73,6 +69,8 @@ _PUBLIC = {
     "BraxTask": "learning.brax_env",
     "load_policy": "learning.policy",
     # Evaluation and training
+    "EvaluateConfig": "evaluation.config",
+    "evaluate_to_file": "evaluation.job",
     "run_trials": "evaluation.trials",
     "run_sweep": "evaluation.reach.run",
     "TrainConfig": "training.config",
@@ -85,6 +83,8 @@ __all__ = ["__version__", *_PUBLIC]
 if TYPE_CHECKING:  # what type checkers and editors see; a test keeps it equal to the table
     from mjx_grasp.closing.closer import Closer as Closer
     from mjx_grasp.closing.config import CloserConfig as CloserConfig
+    from mjx_grasp.evaluation.config import EvaluateConfig as EvaluateConfig
+    from mjx_grasp.evaluation.job import evaluate_to_file as evaluate_to_file
     from mjx_grasp.evaluation.reach.run import run_sweep as run_sweep
     from mjx_grasp.evaluation.trials import run_trials as run_trials
     from mjx_grasp.grasp import Candidates as Candidates
@@ -141,7 +141,18 @@ else:
     def __getattr__(name: str) -> Any:
         if name in _PUBLIC:
             return getattr(import_module(f"mjx_grasp.{_PUBLIC[name]}"), name)
+        if name == "__version__":
+            return _version()
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("mjx_grasp")
+    except PackageNotFoundError:  # a source tree that is not installed
+        return "0.0.0"
 
 
 def __dir__() -> list[str]:

@@ -102,7 +102,7 @@ def test_importing_starts_no_device_prints_nothing_and_sets_no_renderer():
 @pytest.mark.parametrize("path", COMMANDS, ids=module_name)
 def test_every_command_explains_itself(path):
     text = path.read_text()
-    assert "tyro.cli" in text and "run_command" in text
+    assert "run_command" in text
     done = run_python("-m", module_name(path), "--help", timeout=120)
     assert done.returncode == 0, done.stderr
     assert done.stdout.lower().startswith("usage:")

@@ -133,10 +133,9 @@ def make_iteration(
         def shuffled(x: Array) -> Array:
             return x[order].reshape(config.minibatches, -1, *x.shape[1:])
 
+        step: Any = functools.partial(minibatch_step, normalizer=normalizer)
         (optimizer_state, params, _), metrics = jax.lax.scan(
-            functools.partial(minibatch_step, normalizer=normalizer),
-            (optimizer_state, params, step_key),
-            jax.tree.map(shuffled, data),
+            step, (optimizer_state, params, step_key), jax.tree.map(shuffled, data)
         )
         return (optimizer_state, params, key), metrics
 

@@ -23,15 +23,26 @@ if os.environ["JAX_PLATFORMS"] == "cpu":
         flags += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", flags)
 
-# Before anything of the package is imported. Every module but the kernels, whose types are Warp's.
-ROOT = Path(__file__).parent.parent
-CHECKED = [
-    ".".join(source.relative_to(ROOT).with_suffix("").parts)
-    for source in (ROOT / "mjx_grasp").rglob("[!_]*.py")
-    if "_kernel" not in source.stem
-]
-# An int where a float is asked for is one, as it is for mypy.
-install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+# Before anything of the package is imported. Modules whose functions are called with arrays of
+# JAX alone.
+CHECKED = (
+    *(f"mjx_grasp.closing.{n}" for n in ("closer", "control", "guidance", "observer", "stages")),
+    *(f"mjx_grasp.tasks.{n}" for n in ("closing", "observation", "rewards", "starts", "success")),
+    "mjx_grasp.evaluation.trials",
+    "mjx_grasp.geometry.linear",
+    "mjx_grasp.learning.brax_env",
+    *(f"mjx_grasp.grasp.{name}" for name in ("candidates", "select", "targets")),
+    *(f"mjx_grasp.reaching.{n}" for n in ("command", "controller", "fields", "guide", "qp")),
+    "mjx_grasp.learning.policy",
+    "mjx_grasp.robot.interface",
+    *(f"mjx_grasp.posture.{name}" for name in ("body", "clearances", "cover", "draw", "ik")),
+    *(f"mjx_grasp.posture.{name}" for name in ("library", "surroundings")),
+    "mjx_grasp.handoff.attempts",
+    "mjx_grasp.sim.mjx_engine",
+    "mjx_grasp.sim.native",
+    "mjx_grasp.sim.scene",
+)
+install_import_hook(CHECKED, "beartype.beartype")
 
 hypothesis.settings.register_profile("mjx_grasp", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("mjx_grasp")

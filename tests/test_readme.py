@@ -13,6 +13,7 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.reaching import ReachOutcome
+from mjx_grasp.robot.identity import FIRST_ROBOT
 
 ROOT = Path(__file__).resolve().parent.parent
 PROVENANCE = {
@@ -58,10 +59,10 @@ def root(tmp_path):
     results.mkdir(parents=True)
     shutil.copy(ROOT / "README.md", tmp_path)
     shutil.copy(ROOT / "experiments" / "README.md", tmp_path / "experiments")
-    write_results(results / "five.json", [result("apple", 61, 5.0)], PROVENANCE)
-    write_results(results / "ten.json", [result("apple", 57, 10.0)], PROVENANCE)
+    write_results(results / "five.json", [result("apple", 61, 5.0)], PROVENANCE, FIRST_ROBOT)
+    write_results(results / "ten.json", [result("apple", 57, 10.0)], PROVENANCE, FIRST_ROBOT)
     speed = ThroughputRow("ppo", "mjx", 1024, 24, 123_456.0, 7.5)
-    write_results(results / "throughput_card.json", [speed], PROVENANCE)
+    write_results(results / "throughput_card.json", [speed], PROVENANCE, FIRST_ROBOT)
     (results / "other.json").write_text(json.dumps({"schema": "else/1", "provenance": PROVENANCE}))
     return tmp_path
 
@@ -186,12 +187,14 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
         replace(result("apple", n, 5.0), controller="squeeze", squeeze_force_n=c, force_mean_n=f)
         for n, c, f in ((16, 1.0, 1.0), (48, 3.0, 2.0))
     ]
-    write_results(results / "eight_native.json", squeezes, PROVENANCE | {"command": ALONE})
+    write_results(
+        results / "eight_native.json", squeezes, PROVENANCE | {"command": ALONE}, FIRST_ROBOT
+    )
     made = PROVENANCE | {"command": f"{ALONE} --policy runs/many/policy.npz"}
     (results / "seeds").mkdir()
     for name, force in (("soft", 1.5), ("hard", 3.0)):
         policy = replace(result("apple", 32, 5.0), force_mean_n=force)
-        write_results(results / "seeds" / f"{name}.json", [policy], made)
+        write_results(results / "seeds" / f"{name}.json", [policy], made, FIRST_ROBOT)
     (results / "five.json").unlink()
     run_name = "| many | 8,192 × 16, 31 M steps | 3 | native MuJoCo, ±5 mm, friction 0.8 | 64 |"
     make_readme.main(make_readme.ReadmeConfig(root=root))
@@ -207,7 +210,7 @@ def test_stale_sections_fail_the_check_and_stay(root):
     run(root, check=True)
     before = (root / "README.md").read_text()
     path = root / "experiments" / "results" / "five.json"
-    write_results(path, [result("apple", 60, 5.0)], PROVENANCE)
+    write_results(path, [result("apple", 60, 5.0)], PROVENANCE, FIRST_ROBOT)
     with pytest.raises(InputError):
         run(root, check=True)
     assert (root / "README.md").read_text() == before

@@ -35,7 +35,7 @@ def row(counts=(6, 2, 1, 1), **changes):
 def test_rows_survive_the_file(tmp_path_factory, counts):
     path = tmp_path_factory.mktemp("r") / "results.json"
     rows = (row(counts), row(counts, object="pear", force_mean_n=None, squeeze_force_n=3.0))
-    write_results(path, rows, PROVENANCE, label="mine")
+    write_results(path, rows, PROVENANCE, FIRST_ROBOT, label="mine")
     found = read_results(path)
     assert found.rows == rows
     assert found.provenance == PROVENANCE
@@ -44,7 +44,7 @@ def test_rows_survive_the_file(tmp_path_factory, counts):
 
 
 def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
-    write_results(tmp_path / "r.json", [row()], PROVENANCE)
+    write_results(tmp_path / "r.json", [row()], PROVENANCE, FIRST_ROBOT)
     document = json.loads((tmp_path / "r.json").read_text())
     assert set(document) == {"schema", "robot", "rows", "provenance"}
     assert set(document["rows"][0]) == {
@@ -72,19 +72,19 @@ def test_the_robot_comes_back_and_is_the_first_one_in_files_that_do_not_say(tmp_
 
 def test_rows_from_before_outcomes_were_kept_are_read(tmp_path):
     path = tmp_path / "r.json"
-    write_results(path, [row()], PROVENANCE)
+    write_results(path, [row()], PROVENANCE, FIRST_ROBOT)
     document = json.loads(path.read_text())
     del document["rows"][0]["outcomes"]
     path.write_text(json.dumps(document))
     assert read_results(path).rows == (row(),)
-    write_results(path, [row(outcomes="SSLSSLSHPS")], PROVENANCE)
+    write_results(path, [row(outcomes="SSLSSLSHPS")], PROVENANCE, FIRST_ROBOT)
     assert read_results(path).rows[0].outcomes == "SSLSSLSHPS"
 
 
 def test_throughput_rows_have_a_schema_of_their_own(tmp_path):
     path = tmp_path / "throughput.json"
     speeds = (ThroughputRow("ppo", "mjx", 1024, 24, 1.2e5, None),)
-    write_results(path, speeds, PROVENANCE)
+    write_results(path, speeds, PROVENANCE, FIRST_ROBOT)
     assert read_results(path, ThroughputRow).rows == speeds
     assert schema_of(path) == "mjx_grasp.throughput/1"
     with pytest.raises(FileError, match="schema"):
@@ -110,7 +110,7 @@ def test_a_row_that_contradicts_itself_is_refused(field, value, tmp_path):
     with pytest.raises(InputError, match=field if field != "successes" else "episodes"):
         row(**{field: value})
     path = tmp_path / "r.json"
-    write_results(path, [row()], PROVENANCE)
+    write_results(path, [row()], PROVENANCE, FIRST_ROBOT)
     document = json.loads(path.read_text())
     document["rows"][0][field] = value
     path.write_text(json.dumps(document))
@@ -140,7 +140,7 @@ def test_a_foreign_file_is_refused_by_name(tmp_path, text, message):
 @pytest.mark.parametrize("change", ["lacks friction", "has unknown colour"])
 def test_a_row_with_other_fields_is_refused(tmp_path, change):
     path = tmp_path / "r.json"
-    write_results(path, [row()], PROVENANCE)
+    write_results(path, [row()], PROVENANCE, FIRST_ROBOT)
     document = json.loads(path.read_text())
     if change == "lacks friction":
         del document["rows"][0]["friction"]
@@ -153,14 +153,16 @@ def test_a_row_with_other_fields_is_refused(tmp_path, change):
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "r.json"
-    write_results(path, [row()], PROVENANCE)
+    write_results(path, [row()], PROVENANCE, FIRST_ROBOT)
     before = path.read_bytes()
     with pytest.raises(ValueError):
-        write_results(path, [row()], PROVENANCE, score=float("nan"))
+        write_results(path, [row()], PROVENANCE, FIRST_ROBOT, score=float("nan"))
     with pytest.raises(InputError, match="seed"):
-        write_results(path, [row()], {k: v for k, v in PROVENANCE.items() if k != "seed"})
+        write_results(
+            path, [row()], {k: v for k, v in PROVENANCE.items() if k != "seed"}, FIRST_ROBOT
+        )
     with pytest.raises(InputError, match="rows"):
-        write_results(path, [], PROVENANCE)
+        write_results(path, [], PROVENANCE, FIRST_ROBOT)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
@@ -177,5 +179,5 @@ def test_the_mean_counts_every_object_the_same():
 
 def test_counts_from_numpy_are_refused_by_json_and_leave_nothing(tmp_path):
     with pytest.raises(TypeError):
-        write_results(tmp_path / "r.json", [row()], PROVENANCE, n=np.int64(3))
+        write_results(tmp_path / "r.json", [row()], PROVENANCE, FIRST_ROBOT, n=np.int64(3))
     assert not list(tmp_path.iterdir())

@@ -19,6 +19,7 @@ from mjx_grasp.evaluation.tables import (
     throughput_table,
 )
 from mjx_grasp.records.table import Table
+from mjx_grasp.robot.identity import FIRST_ROBOT
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "a card", "seed": 0}
 
@@ -84,10 +85,12 @@ def test_forces_average_over_objects_and_peaks_do_not():
 
 
 def test_files_are_sorted_into_conditions(tmp_path):
-    write_results(tmp_path / "policy.json", eight(9), PROVENANCE)
-    write_results(tmp_path / "squeeze.json", eight(5, 3.0), PROVENANCE)
-    write_results(tmp_path / "mjx.json", eight(8, engine="mjx"), PROVENANCE)
-    write_results(tmp_path / "paper.json", eight(7), PROVENANCE, label="policy, paper's preset")
+    write_results(tmp_path / "policy.json", eight(9), PROVENANCE, FIRST_ROBOT)
+    write_results(tmp_path / "squeeze.json", eight(5, 3.0), PROVENANCE, FIRST_ROBOT)
+    write_results(tmp_path / "mjx.json", eight(8, engine="mjx"), PROVENANCE, FIRST_ROBOT)
+    write_results(
+        tmp_path / "paper.json", eight(7), PROVENANCE, FIRST_ROBOT, label="policy, paper's preset"
+    )
     groups = read_groups(sorted(tmp_path.iterdir()))
     assert [[c.label for c in columns] for columns in groups.values()] == [
         ["policy", "policy, paper's preset", "squeeze 3 N"],
@@ -114,7 +117,7 @@ def outcomes(of, force=None, **changes):
 def test_policy_and_squeeze_from_the_same_starts_are_compared_trial_by_trial(tmp_path):
     policy, squeeze = ("S" * 10, "S" * 4 + "L" * 6), ("S" * 9 + "L", "L" * 4 + "S" * 6)
     rows = [*outcomes(policy), *outcomes(squeeze, 3.0), *outcomes(policy, 5.0)]
-    write_results(tmp_path / "one.json", rows, PROVENANCE)
+    write_results(tmp_path / "one.json", rows, PROVENANCE, FIRST_ROBOT)
     first, second = paired_table(read_groups([tmp_path / "one.json"])).rows
     assert first[1:5] == ("policy − squeeze 3 N", first[2], "20", "24")
     difference = 100 * (14 - 15) / 20
@@ -128,9 +131,11 @@ def test_only_trials_of_the_same_draws_are_paired(tmp_path):
     paths = [tmp_path / "policy.json", tmp_path / "squeeze.json"]
 
     def pairs(*, seed=0, first=None, second=None, letters="S" * 10):
-        write_results(paths[0], outcomes(["S" * 10]), PROVENANCE, **(first or kept))
+        write_results(paths[0], outcomes(["S" * 10]), PROVENANCE, FIRST_ROBOT, **(first or kept))
         squeeze = outcomes([letters], 3.0) if letters else eight(10, 3.0)
-        write_results(paths[1], squeeze, PROVENANCE | {"seed": seed}, **(second or kept))
+        write_results(
+            paths[1], squeeze, PROVENANCE | {"seed": seed}, FIRST_ROBOT, **(second or kept)
+        )
         return len(paired_table(read_groups(paths)).rows)
 
     assert pairs() == 1
@@ -143,11 +148,11 @@ def test_only_trials_of_the_same_draws_are_paired(tmp_path):
 
 
 def test_two_files_may_not_claim_the_same_outcome(tmp_path):
-    write_results(tmp_path / "a.json", eight(9), PROVENANCE)
-    write_results(tmp_path / "b.json", eight(5), PROVENANCE)
+    write_results(tmp_path / "a.json", eight(9), PROVENANCE, FIRST_ROBOT)
+    write_results(tmp_path / "b.json", eight(5), PROVENANCE, FIRST_ROBOT)
     with pytest.raises(FileError, match=r"b\.json.*a\.json"):
         read_groups([tmp_path / "a.json", tmp_path / "b.json"])
-    write_results(tmp_path / "c.json", [row("apple", 3), row("apple", 3)], PROVENANCE)
+    write_results(tmp_path / "c.json", [row("apple", 3), row("apple", 3)], PROVENANCE, FIRST_ROBOT)
     with pytest.raises(FileError, match=r"c\.json.*apple"):
         read_groups([tmp_path / "c.json"])
 

@@ -11,6 +11,7 @@ from PIL import Image
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.robot.identity import FIRST_ROBOT
 from mjx_grasp.viz.report import write_report
 
 PROVENANCE = {
@@ -64,7 +65,7 @@ def run(tmp_path):
     )
     (folder / "config.json").write_text(json.dumps({"preset": "cpu", "ppo": {"worlds": 128}}))
     (folder / "provenance.json").write_text(json.dumps(PROVENANCE))
-    write_results(folder / "results.json", [result(60), result(40, 3.0)], PROVENANCE)
+    write_results(folder / "results.json", [result(60), result(40, 3.0)], PROVENANCE, FIRST_ROBOT)
     return folder
 
 
@@ -103,7 +104,7 @@ def test_the_report_compares_trial_by_trial_where_the_trials_were_kept(run):
         for n, force in ((60, None), (40, 3.0))
     ]
     for results, said in (([result(60), result(40, 3.0)], False), (rows, True)):
-        write_results(run / "results.json", results, PROVENANCE)
+        write_results(run / "results.json", results, PROVENANCE, FIRST_ROBOT)
         text = written(run).text
         assert ("policy − squeeze 3 N" in text) == said
         assert ("+31.2 (" in text) == said
@@ -113,7 +114,7 @@ def test_the_report_says_which_squeeze_is_the_untrained_policy(run):
     results = [run / "results.json"]
     rows = [result(60), result(40, 3.0)]
     for extra, said in (({}, False), ({"untrained_n": 3.0}, True)):
-        write_results(results[0], rows, PROVENANCE, **extra)
+        write_results(results[0], rows, PROVENANCE, FIRST_ROBOT, **extra)
         write_report(run, results, None, None, run / "report.html")
         text = Page((run / "report.html").read_text()).text
         assert ("squeeze 3 N is the policy before its training" in text) == said

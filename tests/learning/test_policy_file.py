@@ -136,4 +136,4 @@ def test_layers_that_do_not_fit_are_not_written(stored, tmp_path):
 
 def test_networks_of_another_kind_are_refused(trained):
     with pytest.raises(InputError, match="policy_params"):
-        policy_from_training({"params": {"Conv_0": {}}}, trained[2], {})
+        policy_from_training({"params": {"Conv_0": {}}}, trained[2], {}, ROBOT)

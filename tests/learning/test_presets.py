@@ -51,11 +51,12 @@ def test_a_preset_that_is_asked_for_is_not_changed(backend):
 def test_a_training_says_which_preset_it_took(tmp_path, monkeypatch, backend):
     """The command as it is typed, up to the first iteration."""
     folder, said = tmp_path / "run", io.StringIO()
+    shown = Console(file=said, width=400)
     shipped = asset_path("handoffs_standins.npz")
     small = ["--objects", "foam_brick", "--ppo.worlds", "4", "--ppo.minibatches", "2"]
     arguments = [*small, "--handoffs", str(shipped), "--out", str(folder), "--no-fit-memory"]
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
-    monkeypatch.setattr(command, "Console", lambda **_: Console(file=said, width=400))
+    monkeypatch.setattr("rich.console.Console", lambda **_: shown)
     monkeypatch.setattr(job, "BraxTask", lambda *_: None)
     monkeypatch.setattr(assemble.World, "task", lambda *_: None)
 

@@ -21,6 +21,7 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
+from mjx_grasp.robot.identity import FIRST_ROBOT
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
 from mjx_grasp.training.command_line import parse
@@ -182,7 +183,8 @@ def test_a_number_of_worlds_is_not_replaced_by_what_fits(monkeypatch):
 def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monkeypatch, tmp_path):
     stored = load_handoffs(asset_path("handoffs_standins.npz"))
     names, seen = ("rubiks_cube", "apple"), {}
-    scene = SimpleNamespace(object_names=names)
+    robot = SimpleNamespace(identity=FIRST_ROBOT)
+    scene = SimpleNamespace(object_names=names, robot=robot)
     keep = {
         "build_scene_of": lambda *_: scene,
         "build_world": lambda scene, states, task: seen.setdefault("training", states) and world,

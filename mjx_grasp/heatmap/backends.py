@@ -109,7 +109,7 @@ def brute_candidates(
 
 
 @partial(jax.jit, static_argnames="vertices")
-def cut_out(stacked: HeatmapRows, mesh: int, vertices: int) -> HeatmapRows:
+def cut_out(stacked: HeatmapRows, mesh: int | Int[Array, ""], vertices: int) -> HeatmapRows:
     """Those of one mesh, without the padding; compiled once for each number of vertices."""
     return jax.tree.map(lambda x: x[mesh, :vertices], stacked)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.vectors import dot
@@ -12,7 +13,9 @@ from mjx_grasp.heatmap.steering import Heatmap, steer
 
 @jax.jit
 def steer_near(
-    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: Float[Array, ""] | float = 0.030
+    heatmap: Heatmap,
+    anchor: Float[Array | np.ndarray, " 3"],
+    sigma: Float[Array, ""] | float = 0.030,
 ) -> Float[Array, " v"]:
     """Scores for an anchor that should lie between the contacts; an addition to the method.
 
@@ -33,7 +36,7 @@ def steer_near(
 
 
 def steer_to(
-    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: float, between_contacts: bool
+    heatmap: Heatmap, anchor: Float[Array | np.ndarray, " 3"], sigma: float, between_contacts: bool
 ) -> Float[Array, " v"]:
     """Scores for an anchor: in line with the contacts (`steer`) or between them (`steer_near`).
 

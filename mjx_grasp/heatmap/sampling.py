@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from mjx_grasp.errors import InputError
@@ -47,7 +48,7 @@ def sample_triples(
     key: PRNGKeyArray | UInt32[Array, "2"],
     heatmap: Heatmap,
     count: int,
-    score: Float[Array, " v"] | None = None,
+    score: Float[Array | np.ndarray, " v"] | None = None,
     *,
     temperature: float | Float[Array, ""] = 0.05,
     top_k: int | None = None,
@@ -89,7 +90,7 @@ def sample_triples(
     )
 
 
-def best_triple(heatmap: Heatmap, score: Float[Array, " v"] | None = None) -> Triples:
+def best_triple(heatmap: Heatmap, score: Float[Array | np.ndarray, " v"] | None = None) -> Triples:
     """The triple of the highest score, as :class:`Triples` of one row.
 
     It is not valid where every score is 0.
@@ -114,9 +115,9 @@ def _draw(
     key: PRNGKeyArray | UInt32[Array, "2"],
     heatmap: Heatmap,
     score: Float[Array, " v"],
-    temperature: Float[Array, ""],
-    min_distance: Float[Array, ""],
-    min_score: Float[Array, ""],
+    temperature: Float[Array, ""] | float,
+    min_distance: Float[Array, ""] | float,
+    min_score: Float[Array, ""] | float,
     count: int,
     top_k: int | None,
 ) -> Triples:

@@ -17,8 +17,8 @@ def width_score(
 
 
 def friction_score(
-    force: Float[Array, "*batch 3"],
-    inward: Float[Array, "*batch 3"],
+    force: Float[Array, "*#batch 3"],
+    inward: Float[Array, "*#batch 3"],
     friction: Float[Array, ""],
 ) -> Float[Array, "*batch"]:
     """S_t, S_k: ``exp(−(θ/(½·arctan μ))²)``, θ between the pushing direction and inward normal.
@@ -43,9 +43,9 @@ def separation_score(
 
 
 def anchor_score(
-    anchor: Float[Array, "*batch 3"],
-    thumb: Float[Array, "*batch 3"],
-    axis: Float[Array, "*batch 3"],
+    anchor: Float[Array, "*#batch 3"],
+    thumb: Float[Array, "*#batch 3"],
+    axis: Float[Array, "*#batch 3"],
     sigma: Float[Array, ""] | float,
 ) -> Float[Array, "*batch"]:
     """S_COM, and the steering factor: ``exp(−(d⊥/σ)²)``, d⊥ from the anchor to the grasp axis."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.errors import InputError
@@ -69,7 +70,9 @@ def weigh(
 
 
 def steer(
-    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: Float[Array, ""] | float = 0.030
+    heatmap: Heatmap,
+    anchor: Float[Array | np.ndarray, " 3"],
+    sigma: Float[Array, ""] | float = 0.030,
 ) -> Float[Array, " v"]:
     """Scores of a heatmap's candidates for an anchor; for many anchors see :func:`steer_many`.
 
@@ -91,7 +94,9 @@ def steer(
 
 
 def steer_many(
-    heatmap: Heatmap, anchors: Float[Array, "a 3"], sigma: Float[Array, "*a"] | float = 0.030
+    heatmap: Heatmap,
+    anchors: Float[Array | np.ndarray, "a 3"],
+    sigma: Float[Array | np.ndarray, "*a"] | float = 0.030,
 ) -> Float[Array, "a v"]:
     """Scores for many anchors at once, as :func:`steer` gives them one by one.
 

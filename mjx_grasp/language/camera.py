@@ -88,7 +88,7 @@ class PinholeCamera:
 
     def project(
         self, points: Float[np.ndarray, "*n 3"]
-    ) -> tuple[Float[np.ndarray, "*n 2"], Float[np.ndarray, "*n"]]:
+    ) -> tuple[Float[np.ndarray, "*n 2"], Float[np.ndarray | np.floating, "*n"]]:
         """Pixel coordinates and depths [m] of world points; meaningful in front of the camera."""
         x, y, z = np.moveaxis((np.asarray(points) - self.p_wc) @ self.R_wc, -1, 0)
         return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], axis=-1), z

@@ -124,7 +124,7 @@ def make_iteration(
         return (optimizer_state, optax.apply_updates(params, updates), key), metrics
 
     def epoch(
-        carry: _Carry, _: None, data: Any, normalizer: Any
+        carry: _Carry, _nothing: None, data: Any, normalizer: Any
     ) -> tuple[_Carry, dict[str, Float[Array, " minibatches"]]]:
         optimizer_state, params, key = carry
         key, order_key, step_key = jax.random.split(key, 3)

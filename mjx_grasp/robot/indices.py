@@ -25,9 +25,9 @@ class RobotIndices:
     """the arm's joints"""
     arm_policy: Int[np.ndarray, " p"]
     """those of them that the policy moves"""
-    finger_joints: tuple[Int[np.ndarray, " k"], ...]
+    finger_joints: tuple[Int[np.ndarray, " _"], ...]
     """all joints of each finger, from its root"""
-    finger_policy: tuple[Int[np.ndarray, " m"], ...]
+    finger_policy: tuple[Int[np.ndarray, " _"], ...]
     """those of them that the policy moves"""
 
     @property
@@ -82,7 +82,7 @@ def robot_indices(robot: RobotSpec) -> RobotIndices:
     )
 
 
-def _stacked(field: str, rows: Sequence[Int[np.ndarray, " n"]]) -> Int[np.ndarray, "f n"]:
+def _stacked(field: str, rows: Sequence[Int[np.ndarray, " _"]]) -> Int[np.ndarray, "f n"]:
     counts = {len(row) for row in rows}
     if len(counts) > 1:
         raise InputError(field, [len(row) for row in rows], "as many joints in every finger")

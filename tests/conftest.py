@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import hypothesis
+import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
@@ -133,6 +134,14 @@ def _contacts_find_room(request, monkeypatch):
         monkeypatch.setattr(native._World, "step", watched)
     yield
     assert not full, f"contacts or constraints of worlds {sorted(set(full))} found no room"
+
+
+@pytest.fixture(autouse=True)
+def _wrong_types_get_to_the_code(request):
+    """Where the package has words of its own for them."""
+    jaxtyping.config.update("jaxtyping_disable", "wrong_types" in request.keywords)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(autouse=True)

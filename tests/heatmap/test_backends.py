@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -120,7 +121,7 @@ def test_tiles_are_smaller_for_larger_meshes_and_never_nothing():
 
 @pytest.mark.parametrize("n", [1, 7, 8, 9, 23])
 def test_map_tiles_is_the_function_of_all_rows(n):
-    x = np.arange(3.0 * n, dtype=np.float32).reshape(n, 3)
+    x = jnp.arange(3.0 * n).reshape(n, 3)
     found = tiles.map_tiles(lambda a, b: (a.sum(axis=1), 2 * b), (x, x[:, 0]), 8)
     assert np.allclose(found[0], x.sum(axis=1)) and np.allclose(found[1], 2 * x[:, 0])
 
@@ -128,10 +129,11 @@ def test_map_tiles_is_the_function_of_all_rows(n):
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_first_least_is_the_argmin_on_every_platform(platform, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
-    values = np.array([[3, 1, 1], [np.inf, np.inf, np.inf], [0, 2, 0]], np.float32)
+    values = jnp.float32([[3, 1, 1], [np.inf, np.inf, np.inf], [0, 2, 0]])
     assert np.array_equal(tiles.first_least(values), [1, 0, 0])
 
 
+@pytest.mark.wrong_types
 def test_the_backend_can_be_chosen_and_a_wrong_one_is_refused():
     assert backend_for(100, HeatmapConfig(backend="brute")) == "brute"
     assert backend_for(10**6, HeatmapConfig(backend="bvh")) == "bvh"

@@ -1,4 +1,5 @@
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -149,12 +150,12 @@ def test_friction_cone_edge_scores_e_to_the_minus_four():
     from mjx_grasp.heatmap.scores import friction_score
 
     lean = np.arctan(FRICTION)
-    force = np.float32([np.sin(lean), 0, np.cos(lean)])
-    assert friction_score(force, np.float32([0, 0, 1]), FRICTION) == pytest.approx(
-        np.exp(-4), rel=1e-4
-    )
+    force = jnp.float32([np.sin(lean), 0, np.cos(lean)])
+    score = friction_score(force, jnp.float32([0, 0, 1]), jnp.float32(FRICTION))
+    assert score == pytest.approx(np.exp(-4), rel=1e-4)
 
 
+@pytest.mark.wrong_types
 def test_anchors_that_are_no_points_are_refused(lump_map):
     with pytest.raises(InputError, match=r"anchor: found 'shape \(2, 3\)', expected one point"):
         steer(lump_map, np.zeros((2, 3)))

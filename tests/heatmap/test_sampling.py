@@ -1,4 +1,5 @@
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -74,9 +75,9 @@ def test_suppression_leaves_nothing_out_that_is_far_enough():
     assert 1 < len(kept) < 60
     rest = np.setdiff1d(np.flatnonzero(heatmap.valid & (heatmap.score >= 0.05)), kept)
     gap = triple_distance(
-        heatmap.thumb[rest, None], heatmap.centre[rest, None],
-        heatmap.thumb[kept], heatmap.centre[kept],
-    )  # fmt: skip
+        *(jnp.asarray(x[rest, None]) for x in (heatmap.thumb, heatmap.centre)),
+        *(jnp.asarray(x[kept]) for x in (heatmap.thumb, heatmap.centre)),
+    )
     assert np.asarray(gap).min(axis=1).max() < 0.04
 
 

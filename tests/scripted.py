@@ -64,6 +64,7 @@ def still(starts, rows, ticks):
 
 def draw_of(rows, offset=0.0):
     """A draw of these rows without noise."""
+    from mjx_grasp.tasks.robot_errors import RobotDraw
     from mjx_grasp.tasks.starts import StartDraw
 
     n = len(rows)
@@ -73,4 +74,6 @@ def draw_of(rows, offset=0.0):
         rotation=jnp.zeros((n, 3)),
         friction=jnp.full(n, 0.8),
         mass_scale=jnp.ones(n),
+        budget=jnp.full(n, 3.0),
+        robot=RobotDraw(jnp.ones(n), jnp.zeros(n), jnp.zeros(n), jnp.zeros(n, jnp.int32)),
     )

@@ -16,6 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control, stages
 from mjx_grasp.closing.config import CloserConfig
+from mjx_grasp.closing.forces import (
+    finger_shares,
+    next_level,
+    press_directions,
+    pressing_and_sliding,
+    tip_forces,
+)
 from mjx_grasp.closing.guidance import goal_frame, guidance_field, way_left
 from mjx_grasp.closing.joints import DrivenJoints, driven_joints
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
@@ -44,6 +51,8 @@ class CloserState(NamedTuple):
     observer: ObserverState
     observed: Bool[Array, "*b f"]
     """contact flags of the observer"""
+    level: Float[Array, "*b"]
+    """F, the grip's force per finger [N]"""
     landed: Bool[Array, "*b f"]
     """whether a finger has ever touched"""
     grip_ticks: Int[Array, "*b f"]
@@ -96,6 +105,7 @@ class Closer:
             arm=measured.q[..., at.arm],
             observer=initial_observer(batch, fingers * joints, fingers),
             observed=none,
+            level=jnp.full(batch, self.config.grip.force),
             landed=none,
             grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),
             lifting=no,
@@ -153,9 +163,12 @@ class Closer:
         if config.grip.together:
             there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
         gripping = there | (state.grip_ticks > 0)
+        state = state._replace(observer=observer)
+        load = self.load(state, measured, targets)
+        level = next_level(state.level, *load, config.control_dt, config.grip)
         return state._replace(
-            observer=observer,
             observed=observed,
+            level=jnp.where(lifting, level, state.level),
             landed=landed,
             grip_ticks=jnp.where(gripping, state.grip_ticks + 1, 0),
             lifting=lifting,
@@ -175,11 +188,17 @@ class Closer:
         jacobian = control.pad_jacobians(measured, at.per_finger)
         field = self.guidance(state, measured, targets)
         rates = control.guided_rates(jacobian, field, config.guidance)
-        frozen = state.landed | state.lifting[..., None]
+        by_force = state.landed | state.lifting[..., None]
+        if config.grip.follow:  # a force brings a finger that has arrived short of the object to it
+            by_force |= state.grip_ticks > 0
         q = measured.q[..., at.per_finger]
-        hold = control.hold_until_landed(state.hold, q, rates, frozen, dt, config.guidance)
-        force = stages.grip_force(state.grip_ticks * dt, config.grip)
-        torque = control.grip_torques(jacobian, -targets.normal, force)
+        hold = control.hold_until_landed(
+            state.hold, q, rates, by_force, dt, config.guidance, config.grip.follow
+        )
+        share = stages.grip_share(state.grip_ticks * dt, config.grip)
+        force = state.level[..., None] * finger_shares(q.shape[-2], config.grip) * share
+        press = press_directions(measured.pad_pos, targets.normal, config.grip)
+        torque = control.grip_torques(jacobian, press, force)
         residual = control.update_residual(state.residual, action[..., :fingers], dt, config.action)
 
         speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
@@ -207,6 +226,24 @@ class Closer:
             state.goal_mat,
             self.config.guidance,
         )
+
+    def forces(self, state: CloserState, measured: Measured) -> Float[Array, "*b f 3"]:
+        """Force of the object on each fingertip, estimated from joint torques [N], world frame."""
+        at, config = self.joints.at, self.config
+        q, limits = measured.q[..., at.per_finger], self.joints.limits[at.per_finger]
+        margin = config.observer.stop_margin
+        free = (q > limits[..., 0] + margin) & (q < limits[..., 1] - margin)
+        torque = state.observer.torque.reshape(q.shape)
+        return tip_forces(
+            torque, control.pad_jacobians(measured, at.per_finger), free, config.forces
+        )
+
+    def load(
+        self, state: CloserState, measured: Measured, targets: ThreePoints
+    ) -> tuple[Float[Array, "*b f"], Float[Array, "*b f"]]:
+        """What each fingertip bears, estimated: along its pressing direction and across [N]."""
+        press = press_directions(measured.pad_pos, targets.normal, self.config.grip)
+        return pressing_and_sliding(self.forces(state, measured), press)
 
     def lift_speed(self, state: CloserState) -> Float[Array, "*b"]:
         """Speed of the scripted lift at this time since lift onset [m/s]."""

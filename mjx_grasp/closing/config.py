@@ -64,6 +64,38 @@ class GripConfig(Settings):
     """whether the fingers' forces rise together, once all have landed or arrived"""
     approach_s: NonNegative = 1.0
     """after this time every finger counts as arrived [s]"""
+    split: Literal["even", "balanced"] = "even"
+    """whether each finger presses with F, or the thumb with as much as the others together and all
+    three with 3 F in sum, as now"""
+    direction: Literal["normals", "line"] = "normals"
+    """along what the fingers press: the contacts' normals, or the line between the thumb's pad and
+    the middle of the others"""
+    follow: Share = 0.0
+    """share of the way to its joint that a landed finger's target goes every tick: with 0 it is a
+    spring that lets go as the finger gives way, above it a force [-]"""
+    friction: Positive | None = None
+    """μ₀: from lift onset F follows the load as if this were the friction, from `force` up to
+    `most`; none: F stays as it is [-]"""
+    most: NonNegative = 8.0
+    """to which the load may raise F [N]"""
+    rise: NonNegative = 60.0
+    """how fast the load may raise F [N/s]"""
+    fall: NonNegative = 2.0
+    """how fast F may go back [N/s]"""
+
+
+REACTING = GripConfig(force=2.5, split="balanced", direction="line", follow=0.05, friction=0.4)
+"""A grip that holds its force and answers to load."""
+
+
+@dataclass(frozen=True)
+class ForceConfig(Settings):
+    """Fingertip forces from the observer's joint torques."""
+
+    damping: Positive = 0.01
+    """λ: lever below which a joint's torque says little of the force [m]"""
+    most: Positive = 40.0
+    """largest force that is believed [N]"""
 
 
 @dataclass(frozen=True)
@@ -126,3 +158,4 @@ class CloserConfig(Settings):
     stages: StageConfig = field(default_factory=StageConfig)
     lift: LiftConfig = field(default_factory=LiftConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    forces: ForceConfig = field(default_factory=ForceConfig)

@@ -57,7 +57,7 @@ def grip_torques(
     inward: Float[Array, "*b f 3"],
     force: Float[Array, "*b f"],
 ) -> Float[Array, "*b f j"]:
-    """Jᵀ·F along the inward normals [N m]."""
+    """Jᵀ·F along unit vectors into the object [N m]."""
     return jnp.sum(jacobian[..., :3, :] * (force[..., None] * inward)[..., None], axis=-2)
 
 
@@ -88,7 +88,12 @@ def hold_until_landed(
     landed: Bool[Array, "*b f"],
     dt: float,
     config: GuidanceConfig,
+    follow: float = 0.0,
 ) -> Float[Array, "*b f j"]:
-    """Guided joint targets [rad]: they follow the field until the finger lands, then stay."""
+    """Guided joint targets [rad]: they follow the field until the finger lands.
+
+    Then they stay, or go by the share `follow` of the way to the joint every tick.
+    """
     lead = jnp.clip(hold + rates * dt - q, -config.lead, config.lead)
-    return jnp.where(landed[..., None], hold, q + lead)
+    kept = hold + follow * (q - hold) if follow else hold
+    return jnp.where(landed[..., None], kept, q + lead)

@@ -22,16 +22,19 @@ class DrivenJoints(NamedTuple):
     """position gain of the policy's finger joints [N m/rad]"""
     dry_friction: Float[np.ndarray, " m"]
     """of the same joints [N m]"""
+    damping: Float[np.ndarray, " m"]
+    """of the same joints [N m s/rad]"""
 
 
 def driven_joints(robot: RobotSpec) -> DrivenJoints:
     """Reads the constants off the robot's compiled MJCF."""
     model, at = robot_mjspec(robot).compile(), robot_indices(robot)
     names = [robot.joints[i] for i in at.fingers]
-    friction = [float(model.dof_frictionloss[model.joint(n).dofadr[0]]) for n in names]
+    dofs = [model.joint(name).dofadr[0] for name in names]
     return DrivenJoints(
         at=at,
         limits=np.array([model.joint(n).range for n in robot.joints], np.float32),
         stiffness=np.array([model.actuator(n).gainprm[0] for n in names], np.float32),
-        dry_friction=np.array(friction, np.float32),
+        dry_friction=model.dof_frictionloss[dofs].astype(np.float32),
+        damping=model.dof_damping[dofs].astype(np.float32),
     )

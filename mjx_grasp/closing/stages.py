@@ -31,6 +31,6 @@ def lift_speed(time: Float[Array, "*b"], config: LiftConfig) -> Float[Array, "*b
     return config.speed * jnp.clip(share, 0.0, 1.0)
 
 
-def grip_force(time: Float[Array, "*b"], config: GripConfig) -> Float[Array, "*b"]:
-    """A finger's commanded force at a time since it landed or arrived [N]: a ramp to `force`."""
-    return config.force * jnp.clip(time / max(config.ramp_s, 1e-9), 0.0, 1.0)
+def grip_share(time: Float[Array, "*b"], config: GripConfig) -> Float[Array, "*b"]:
+    """How much of its force a finger presses with at a time since it landed or arrived [-]."""
+    return jnp.clip(time / max(config.ramp_s, 1e-9), 0.0, 1.0)

@@ -63,7 +63,10 @@ def load_controller(path: Path, robot: RobotSpec) -> Policy:
         policy_task(policy)
     except InputError as error:
         raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
-    sizes, fitting = (policy.observation_size, policy.action_size), policy_sizes(robot)
+    sizes, fitting = (
+        (policy.observation_size, policy.action_size),
+        policy_sizes(robot, policy_task(policy).observation),
+    )
     if sizes != fitting:
         names = "observation_size, action_size = "
         raise FileError(path, f"{names}{sizes}", f"{fitting}, those of the robot")

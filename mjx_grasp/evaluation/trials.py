@@ -84,7 +84,7 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
     parts = []
     for first in range(0, count, worlds):
         index = np.minimum(np.arange(first, first + worlds), count - 1)
-        part = batch(StartDraw(*(x[index] for x in draw)))
+        part = batch(jax.tree.map(lambda x, rows=index: x[rows], draw))
         parts.append(Trials(*(np.asarray(x)[: count - first] for x in part)))
     return Trials(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 

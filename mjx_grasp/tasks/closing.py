@@ -20,8 +20,9 @@ from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
-from mjx_grasp.tasks.observation import STACKED_STEPS, privileged, proprioception
+from mjx_grasp.tasks.observation import felt, privileged, proprioception
 from mjx_grasp.tasks.rewards import Moment, RewardTerm, closing_terms
+from mjx_grasp.tasks.robot_errors import RobotDraw, arriving, as_sensed, longest_delay
 from mjx_grasp.tasks.starts import (
     StartDraw,
     StartTable,
@@ -42,7 +43,12 @@ class Episode(NamedTuple):
     action: Float[Array, "w k"]
     last_action: Float[Array, "w k"]
     stack: Float[Array, "w s d"]
-    """the last steps of proprioception, oldest first"""
+    """the last steps of the observation, oldest first"""
+    budget: Float[Array, " w"]
+    """that the mean force per finger may be [N]"""
+    robot: RobotDraw
+    sent: tuple[Float[Array, "w n"], ...]
+    """commands on their way, oldest first [rad]"""
     reset_height: Float[Array, " w"]
     """of the object origin at the start [m]"""
     object_in_palm: Float[Array, "w 3"]
@@ -100,6 +106,7 @@ class ClosingTask:
         self.control_dt = self.config.control_dt
         self.episode_ticks = self.config.episode_ticks
         self._with_privileged = with_privileged
+        self._feels = self.config.observation.forces
         self._weights = balanced_weights(starts.object_index, len(physics.scene.objects))
         self._ctrl_order = np.argsort(physics.scene.addresses.robot_ctrl)
         self._turned = self.noise.angle_rad > 0
@@ -138,13 +145,19 @@ class ClosingTask:
         action = jnp.clip(action, -1.0, 1.0)
         targets = self._targets(state.episode)
         closer, target = self.closer.act(state.closer, state.measured, targets, action)
+        robot, errors, joints = state.episode.robot, self.noise.robot, self.closer.joints
+        target, sent = arriving(
+            target, state.episode.sent, robot, state.measured, joints, self.control_dt
+        )
         physics, measured, truth = self.physics.step(
             state.physics, state.params, target[:, self._ctrl_order]
         )
+        measured = as_sensed(measured, robot, closer.tick, joints, errors)
         finite = jnp.isfinite(measured.q).all(-1) & jnp.isfinite(truth.object_pos).all(-1)
 
         sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
-        episode, slip = self._followed(state.episode, closer, sensed, measured, truth, action)
+        before = state.episode._replace(sent=sent)
+        episode, slip = self._followed(before, closer, sensed, measured, truth, action)
         moment = self._moment(closer, measured, truth, targets, slip, action, state.episode)
         rewards = {
             term.name: jnp.where(finite, term.weight * term.value(moment), 0.0)
@@ -202,6 +215,7 @@ class ClosingTask:
             palm_velocity=jnp.sum(palm[:, :3] * measured.qd[:, None, at.arm], axis=-1),
             lift_speed=self.closer.lift_speed(closer),
             slip=slip,
+            budget=before.budget,
             action=action,
             last_action=before.action,
             before_last=before.last_action,
@@ -217,14 +231,13 @@ class ClosingTask:
         action: Float[Array, "w k"],
     ) -> tuple[Episode, Float[Array, " w"]]:
         """What came of the tick, and how far the object has slipped in the palm [m]."""
-        at = self.closer.joints.at.fingers
         in_palm = _in_palm(measured, truth)
         reference = jnp.where(closer.lifting[:, None], before.object_in_palm, in_palm)
         slip = jnp.where(sensed.lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
         rise = truth.object_pos[:, 2] - before.reset_height
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
-        step = proprioception(measured.q[:, at], measured.qd[:, at], action)
+        step = self._step(sensed, measured, self._targets(before), action)
         episode = before._replace(
             action=action,
             last_action=before.action,
@@ -238,9 +251,23 @@ class ClosingTask:
         )
         return episode, slip
 
+    def _step(
+        self, closer: CloserState, measured: Measured, targets: ThreePoints, action: Array
+    ) -> Float[Array, "w d"]:
+        """The observation of one tick."""
+        at = self.closer.joints.at.fingers
+        step = proprioception(measured.q[:, at], measured.qd[:, at], action)
+        if not self.config.observation.forces:
+            return step
+        load = self.closer.load(closer, measured, targets)
+        return jnp.concatenate([step, felt(*load, closer.level)], axis=-1)
+
     def _observe(self, state: ClosingState) -> Observations:
-        episode, closer = state.episode, state.closer
-        proprio = episode.stack.reshape(episode.stack.shape[0], -1)
+        episode, closer, config = state.episode, state.closer, self.config.observation
+        seen = [episode.stack[:, -1 - ago] for ago in reversed(config.ticks_ago)]
+        if config.budget:
+            seen.append(episode.budget[:, None] / 5.0)
+        proprio = jnp.concatenate(seen, axis=-1)
         if not self._with_privileged:
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
@@ -258,6 +285,7 @@ class ClosingTask:
                 jnp.linalg.norm(_in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
                 state.params.friction,
                 state.params.mass_scale,
+                *((closer.level * 0.2, episode.budget * 0.2) if self._feels else ()),
             ),
         )
         return {"state": proprio, "privileged_state": critic}
@@ -279,14 +307,19 @@ class ClosingTask:
         truth = truth._replace(
             object_pos=qpos[:, at.object_qpos[:3]], object_quat=qpos[:, at.object_qpos[3:]]
         )
-        fingers, w = self.closer.joints.at.fingers, len(draw.row)
+        w = len(draw.row)
         action, zeros = jnp.zeros((w, self.action_size)), jnp.zeros(w)
-        first = proprioception(measured.q[:, fingers], measured.qd[:, fingers], action)
+        targets = jax.tree.map(lambda rows: rows[draw.row], starts.targets)
+        first = self._step(closer, measured, targets, action)
+        delay = longest_delay(self.noise.robot, self.control_dt)
         episode = Episode(
             row=draw.row,
             action=action,
             last_action=action,
-            stack=jnp.repeat(first[:, None], STACKED_STEPS, axis=1),
+            stack=jnp.repeat(first[:, None], self.config.observation.ticks_ago[-1] + 1, axis=1),
+            budget=draw.budget,
+            robot=draw.robot,
+            sent=(measured.q,) * delay,
             reset_height=truth.object_pos[:, 2],
             object_in_palm=_in_palm(measured, truth),
             progress=initial_progress((w,)),

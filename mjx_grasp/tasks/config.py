@@ -15,6 +15,9 @@ from mjx_grasp.records.settings import (
     Positive,
     Range,
     Settings,
+    Several,
+    Share,
+    WholeNumber,
     from_record,
 )
 
@@ -46,6 +49,14 @@ class RewardConfig(Settings):
     """times the squared change of the action between two ticks"""
     action_acceleration: Finite = -0.005
     """times the squared second difference of the action"""
+    held: Finite = 0.0
+    """per tick of the lift in which the object stays where it is in the palm"""
+    held_scale: Positive = 0.01
+    """displacement in the palm at which that has fallen to 1/e [m]"""
+    force: Finite = 0.0
+    """times the mean finger force in the lift [1/N]"""
+    over_budget: Finite = 0.0
+    """times the mean finger force in the lift beyond the force budget [1/N]"""
 
 
 @dataclass(frozen=True)
@@ -61,11 +72,25 @@ class SuccessConfig(Settings):
 
 
 @dataclass(frozen=True)
+class ObservationConfig(Settings):
+    """What the policy sees of each control tick, and of which ticks."""
+
+    forces: bool = False
+    """whether the estimated forces of the fingers, along and across their pressing direction, and
+    the grip's own force stand beside joints and actions; for a torque-sensed hand"""
+    budget: bool = False
+    """whether the force budget does, the mean force per finger that a grasp may take"""
+    ticks_ago: Annotated[tuple[WholeNumber, ...], Several(ascending=True, strictly=True)] = (0, 1)
+    """the ticks that are stacked, the newest first [-]"""
+
+
+@dataclass(frozen=True)
 class ClosingTaskConfig(CloserConfig):
     """The closing task: its controller, rewards, success, and the time that it has."""
 
     episode_s: Positive = 4.0
     """time to close, lift and hold [s]"""
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     success: SuccessConfig = field(default_factory=SuccessConfig)
 
@@ -81,6 +106,32 @@ class ClosingTaskConfig(CloserConfig):
 
 
 @dataclass(frozen=True)
+class RobotErrors(Settings):
+    """How the robot differs from its model."""
+
+    stiffness: tuple[Positive, Positive] = (1.0, 1.0)
+    """range of the factor on the position gains of the fingers [-]"""
+    latency_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    """range of the time that a command takes to arrive, in whole control periods [s]"""
+    torque_std: NonNegative = 0.0
+    """standard deviation of each reading of a finger's external torque [N m]"""
+    torque_step: NonNegative = 0.0
+    """by which these readings are quantised; 0 for none [N m]"""
+    friction: Share = 0.0
+    """the model of joint friction is off by up to ± this share [-]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range(self, "stiffness")
+        check_range(self, "latency_s")
+
+    @property
+    def of_torque(self) -> bool:
+        """Whether the readings of torque have any."""
+        return max(self.torque_std, self.torque_step, self.friction) > 0
+
+
+@dataclass(frozen=True)
 class StartNoise(Settings):
     """What a reset draws anew: errors of the object's pose against the handoff, and physics."""
 
@@ -92,13 +143,25 @@ class StartNoise(Settings):
     """range of the sliding friction [-]"""
     mass_scale: tuple[Positive, Positive] = (1.0, 1.0)
     """range of the factor on the object's mass [-]"""
+    budget_n: tuple[Positive, Positive] = (3.0, 3.0)
+    """range of the force budget, for a policy that is given one [N]"""
+    robot: RobotErrors = field(default_factory=RobotErrors)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("friction", "mass_scale"):
-            low, high = getattr(self, name)
-            if not math.isfinite(high) or low > high:
-                raise InputError(self.name_of(name), (low, high), "the lower bound first")
+        for name in ("friction", "mass_scale", "budget_n"):
+            check_range(self, name)
+
+
+def check_range(settings: Settings, name: str) -> None:
+    """Refuses a field that holds two bounds in the wrong order.
+
+    Raises:
+        InputError: It does.
+    """
+    low, high = getattr(settings, name)
+    if not math.isfinite(high) or low > high:
+        raise InputError(settings.name_of(name), (low, high), "the lower bound first")
 
 
 def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:

@@ -1,4 +1,4 @@
-"""What the policy sees: 66 proprioceptive numbers; and what only the critic may see."""
+"""What the policy sees: 66 proprioceptive numbers, or more; and what only the critic may see."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.physics import Truth
+from mjx_grasp.tasks.config import ObservationConfig
 
-STACKED_STEPS = 2
 
-
-def policy_sizes(robot: RobotSpec) -> tuple[int, int]:
+def policy_sizes(robot: RobotSpec, config: ObservationConfig) -> tuple[int, int]:
     """How many numbers a policy of the robot reads, and with how many it answers."""
-    fingers = len(robot.hand.policy_joints)
-    actions = fingers + len(robot.arm.policy_joints)
-    return STACKED_STEPS * (2 * fingers + actions), actions
+    joints, fingers = len(robot.hand.policy_joints), len(robot.hand.fingers)
+    actions = joints + len(robot.arm.policy_joints)
+    step = 2 * joints + actions + config.forces * (2 * fingers + 1)
+    return len(config.ticks_ago) * step + config.budget, actions
 
 
 def proprioception(
@@ -25,6 +25,13 @@ def proprioception(
 ) -> Float[Array, "*b d"]:
     """One step of the observation: finger positions [rad], velocities [rad/s], last action."""
     return jnp.concatenate([q, qd, last_action], axis=-1)
+
+
+def felt(
+    normal: Float[Array, "*b f"], tangential: Float[Array, "*b f"], level: Float[Array, "*b"]
+) -> Float[Array, "*b e"]:
+    """Beside it for a torque-sensed hand: forces of the fingers and the grip's own, in 5 N."""
+    return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / 5.0
 
 
 def privileged(

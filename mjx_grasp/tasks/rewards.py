@@ -32,6 +32,8 @@ class Moment(NamedTuple):
     """of the scripted lift [m/s]"""
     slip: Float[Array, "*b"]
     """palm-frame displacement of the object since lift onset [m]"""
+    budget: Float[Array, "*b"]
+    """that the mean force per finger may be [N]"""
     action: Float[Array, "*b k"]
     last_action: Float[Array, "*b k"]
     before_last: Float[Array, "*b k"]
@@ -47,13 +49,16 @@ class RewardTerm:
 
 
 def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
-    """The terms of the publication."""
+    """The terms of the publication; then those that ask for a firm hold with little force."""
     return (
         RewardTerm("reach", config.reach, lambda m: jnp.where(m.lifting, 0.0, reach(m, config))),
         RewardTerm("lift", config.lift, lambda m: jnp.where(m.lifting, lift(m, config), 0.0)),
         RewardTerm("contact", config.contact, contact),
         RewardTerm("action_rate", config.action_rate, action_rate),
         RewardTerm("action_acceleration", config.action_acceleration, action_acceleration),
+        RewardTerm("held", config.held, lambda m: jnp.where(m.lifting, held(m, config), 0.0)),
+        RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
+        RewardTerm("over_budget", config.over_budget, over_budget),
     )
 
 
@@ -91,3 +96,18 @@ def action_acceleration(moment: Moment) -> Float[Array, "*b"]:
     """|a_t − 2a_{t−1} + a_{t−2}|²."""
     second = moment.action - 2.0 * moment.last_action + moment.before_last
     return jnp.sum(second**2, -1)
+
+
+def held(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
+    """exp(−(s/σ)²), s the displacement of the object in the palm since lift onset."""
+    return jnp.exp(-((moment.slip / config.held_scale) ** 2))
+
+
+def mean_force(moment: Moment) -> Float[Array, "*b"]:
+    """Contact force per finger [N]."""
+    return jnp.mean(jnp.sqrt(jnp.sum(moment.truth.finger_force**2, -1) + 1e-12), axis=-1)
+
+
+def over_budget(moment: Moment) -> Float[Array, "*b"]:
+    """The same beyond the budget, in the lift [N]."""
+    return jnp.where(moment.lifting, jnp.maximum(mean_force(moment) - moment.budget, 0.0), 0.0)

@@ -19,6 +19,7 @@ from mjx_grasp.sim.native import at_rest
 from mjx_grasp.sim.physics import Truth, WorldParams, make_params
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.config import StartNoise
+from mjx_grasp.tasks.robot_errors import RobotDraw
 
 
 class StartTable(NamedTuple):
@@ -49,6 +50,9 @@ class StartDraw(NamedTuple):
     """Object rotation as axis times angle, world frame [rad]."""
     friction: Float[Array, " w"]
     mass_scale: Float[Array, " w"]
+    budget: Float[Array, " w"]
+    """Force budget [N]."""
+    robot: RobotDraw
 
 
 def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTable:
@@ -112,8 +116,11 @@ def draw_starts(
         noise: Ranges.
         weights: Unnormalised probability of each row; see `balanced_weights`.
     """
-    # One draw for everything: every call of a random function is a kernel of its own.
+    # One draw for everything: every call of a random function is a kernel of its own. What the
+    # first eight columns hold does not change, so that a seed stands for the same starts for ever.
     u = jax.random.uniform(key, (worlds, 8))
+    more = jax.random.uniform(jax.random.fold_in(key, 1), (worlds, 5))
+    u = jnp.concatenate([u, more], axis=-1)
     cumulative = jnp.cumsum(weights)
     row = jnp.searchsorted(cumulative, u[:, 0] * cumulative[-1], method="compare_all")
     # A uniform axis: uniform height on the sphere, uniform angle around it.
@@ -130,6 +137,13 @@ def draw_starts(
         rotation=axis * (noise.angle_rad * u[:, 5:6]),
         friction=between(6, noise.friction),
         mass_scale=between(7, noise.mass_scale),
+        budget=between(8, noise.budget_n),
+        robot=RobotDraw(
+            stiffness=between(9, noise.robot.stiffness),
+            latency=between(10, noise.robot.latency_s),
+            friction=noise.robot.friction * (2.0 * u[:, 11] - 1.0),
+            stream=(u[:, 12] * 2**24).astype(jnp.int32),
+        ),
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import hypothesis
 import jaxtyping
 import pytest
+from checked import CHECKED
 from jaxtyping import install_import_hook
 
 # Many tests start commands, and these compile the same programs again: once is enough.
@@ -24,26 +25,9 @@ if os.environ["JAX_PLATFORMS"] == "cpu":
         flags += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", flags)
 
-# Before anything of the package is imported. Modules whose functions are called with arrays of
-# JAX alone.
-CHECKED = (
-    *(f"mjx_grasp.closing.{n}" for n in ("closer", "control", "guidance", "observer", "stages")),
-    *(f"mjx_grasp.tasks.{n}" for n in ("closing", "observation", "rewards", "starts", "success")),
-    "mjx_grasp.evaluation.trials",
-    "mjx_grasp.geometry.linear",
-    "mjx_grasp.learning.brax_env",
-    *(f"mjx_grasp.grasp.{name}" for name in ("candidates", "select", "targets")),
-    *(f"mjx_grasp.reaching.{n}" for n in ("command", "controller", "fields", "guide", "qp")),
-    "mjx_grasp.learning.policy",
-    "mjx_grasp.robot.interface",
-    *(f"mjx_grasp.posture.{name}" for name in ("body", "clearances", "cover", "draw", "ik")),
-    *(f"mjx_grasp.posture.{name}" for name in ("library", "surroundings")),
-    "mjx_grasp.handoff.attempts",
-    "mjx_grasp.sim.mjx_engine",
-    "mjx_grasp.sim.native",
-    "mjx_grasp.sim.scene",
-)
-install_import_hook(CHECKED, "beartype.beartype")
+# Before anything of the package is imported. An int may be given where a float is asked for.
+TYPECHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+install_import_hook(CHECKED, TYPECHECKER)
 
 hypothesis.settings.register_profile("mjx_grasp", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("mjx_grasp")

@@ -9,8 +9,8 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
+import handmade
 import pytest
 from rich.console import Console
 from typed import refusal
@@ -21,7 +21,8 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
-from mjx_grasp.robot.identity import FIRST_ROBOT
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.tasks.assemble import World
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
 from mjx_grasp.training.command_line import parse
@@ -81,11 +82,13 @@ def test_a_finished_run_resumes_to_the_same_policy(trained):
     assert (trained / "policy.npz").read_bytes() == before
 
 
-def test_a_run_goes_on_from_the_start_states_it_began_with(trained, tmp_path, monkeypatch, capsys):
+def test_a_run_goes_on_from_the_start_states_it_began_with(
+    trained, scene, tmp_path, monkeypatch, capsys
+):
     states, run = tmp_path / "states.npz", tmp_path / "run"
     states.write_bytes((trained / "handoffs.npz").read_bytes())
     config = replace(stored_config(trained), handoffs=states, resume=None, out=run)
-    monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
     monkeypatch.setattr(job, "_build", lambda *_: None)
     monkeypatch.setattr(job, "_run", lambda *_: None)
     monkeypatch.setattr(job, "_made_handoffs", lambda *_: None)
@@ -180,17 +183,19 @@ def test_a_number_of_worlds_is_not_replaced_by_what_fits(monkeypatch):
         parse(["--preset", "gpu", "--ppo.worlds", "64", "--fit-memory"])
 
 
-def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(monkeypatch, tmp_path):
+def test_a_training_starts_from_its_own_states_and_is_judged_by_the_others(
+    monkeypatch, tmp_path, robot, starts
+):
     stored = load_handoffs(asset_path("handoffs_standins.npz"))
     names, seen = ("rubiks_cube", "apple"), {}
-    robot = SimpleNamespace(identity=FIRST_ROBOT)
-    scene = SimpleNamespace(object_names=names, robot=robot)
+    scene = build_scene([handmade.box(name) for name in names], robot)
+    world = World(scene, starts)  # starts of other objects: nothing begins from them
     keep = {
         "build_scene_of": lambda *_: scene,
         "build_world": lambda scene, states, task: seen.setdefault("training", states) and world,
         "evaluate_run": lambda *given: seen.setdefault("evaluation", given[3]),
     }
-    world = SimpleNamespace(scene=scene, task=lambda *_: None)
+    monkeypatch.setattr(World, "task", lambda *_: None)
     skipped = ("BraxTask", "init_state", "train_loop", "_save_policy")
     for name, instead in (keep | {name: lambda *_: None for name in skipped}).items():
         monkeypatch.setattr(job, name, instead)
@@ -227,11 +232,11 @@ def test_a_training_that_cannot_work_leaves_no_folder(tmp_path, monkeypatch):
     refused(project, match=r"--loop\.wandb-project.*mjx_grasp\[wandb\]")
 
 
-def test_an_interrupted_run_says_how_to_continue(monkeypatch):
+def test_an_interrupted_run_says_how_to_continue(monkeypatch, scene):
     def interrupted(*_):
         raise KeyboardInterrupt("interrupted after iteration 3")
 
-    monkeypatch.setattr(job, "build_scene_of", lambda *_: None)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
     monkeypatch.setattr(job, "_made_handoffs", interrupted)
     config = replace(preset_config("cpu"), out=Path("a run"))
     expected = "iteration 3; continue with: python -m mjx_grasp.train --resume 'a run'"

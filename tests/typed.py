@@ -12,6 +12,8 @@ def refusal(monkeypatch, capsys, module, *arguments):
 
     An exception that would have shown a traceback comes out of here as it is.
     """
+    # With its shapes checked, the module would be cached as if it were the plain one.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.setattr(sys, "argv", [module, *map(str, arguments)])
     with pytest.raises(SystemExit) as end, warnings.catch_warnings():
         # The module may be imported already: it is run again, under the name `__main__`.

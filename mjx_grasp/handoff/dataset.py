@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import jax
 import mujoco
@@ -15,13 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.records.archive import ArchiveKind, Arrays, checked, read_archive, write_archive
 from mjx_grasp.records.settings import Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
-
-if TYPE_CHECKING:
-    from mjx_grasp.objects.model import ObjectModel
-    from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.spec import RobotSpec
 
 _ARRAYS = {
     "object_index": "int32 n",

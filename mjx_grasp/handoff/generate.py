@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,14 +26,12 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
 from mjx_grasp.heatmap import heatmap_of
+from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library
+from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
-
-if TYPE_CHECKING:
-    from mjx_grasp.objects.model import ObjectModel
-    from mjx_grasp.robot.spec import RobotSpec
 
 
 @dataclass

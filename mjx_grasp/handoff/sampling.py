@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.handoff.config import SamplingConfig
-
-if TYPE_CHECKING:
-    from mjx_grasp.objects.model import RestingPose
+from mjx_grasp.objects.model import RestingPose
 
 
 def sample_object_poses(

@@ -72,7 +72,7 @@ def weigh(
 def steer(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
-    sigma: Float[Array, ""] | float = 0.030,
+    sigma: Float[Array | np.ndarray | np.floating, ""] | float = 0.030,
 ) -> Float[Array, " v"]:
     """Scores of a heatmap's candidates for an anchor; for many anchors see :func:`steer_many`.
 

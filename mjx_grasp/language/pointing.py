@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from mjx_grasp.geometry.closest import closest_on_triangle
 from mjx_grasp.language.grounding import Anchor, GroundingError, Target, View
@@ -33,7 +33,7 @@ class RayPoint(NamedTuple):
 
 def anchor_at(
     instruction: str,
-    pixel: Float[np.ndarray, " 2"],
+    pixel: Real[np.ndarray, " 2"],
     target: Target,
     limit: float = LIMIT_M,
     tolerance: float = TOLERANCE_M,

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from mjx_grasp.errors import InputError
-
-if TYPE_CHECKING:
-    from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.spec import RobotSpec
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.robot.interface import Measured
@@ -85,7 +85,7 @@ class SimRobot:
         self._connected()
         return jax.tree.map(lambda x: x[0], self._seen[1])
 
-    def command(self, target: Float[np.ndarray, " n"]) -> None:
+    def command(self, target: Float[Array | np.ndarray, " n"]) -> None:
         """See `Robot.command`; simulates the control period.
 
         Raises:

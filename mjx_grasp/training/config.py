@@ -64,7 +64,7 @@ class TrainConfig(CommandSettings):
     loop: LoopConfig = field(default_factory=LoopConfig)
 
 
-def preset_config(preset: Preset) -> TrainConfig:
+def preset_config(preset: str) -> TrainConfig:
     """The configuration behind a preset's name.
 
     Raises:

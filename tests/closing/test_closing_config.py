@@ -19,6 +19,7 @@ def test_defaults_are_the_published_controller():
     assert (c.grip.force, c.grip.ramp_s, c.stages.acquisition_s) == (1.0, 0.5, 1.6)
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("kind", "field", "value"),
     [

@@ -92,9 +92,10 @@ def with_task(policy, **changes):
             r"found task\.grip_force = 'nothing'.*all fields",
         ),
         (lambda p: with_task(p, grip_force=-1.0), r"GripConfig\.force = -1\.0, expected 0 or more"),
-        (
+        pytest.param(
             lambda p: with_task(p, grip_force="much"),
             r"GripConfig\.force = 'much', expected 0 or more",
+            marks=pytest.mark.wrong_types,
         ),
         (
             lambda p: replace(

@@ -54,6 +54,7 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.wrong_types
 def test_the_robot_comes_back_and_is_the_first_one_in_files_that_do_not_say(tmp_path):
     path, robot = tmp_path / "r.json", RobotIdentity("six_axis", "a1" * 32)
     write_results(path, [row()], PROVENANCE, robot, label="mine")

@@ -80,13 +80,14 @@ def test_a_paired_comparison_counts_and_changes_sign_with_the_order():
     assert compare_paired(second, first).difference == -result.difference
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     "call",
     [
         lambda: wilson_interval(1, 0),
         lambda: wilson_interval(3, 2),
         lambda: wilson_interval(1, 2, confidence=95),
-        lambda: mean_rate_interval(np.array([]), np.array([])),
+        lambda: mean_rate_interval(np.array([], int), np.array([], int)),
         lambda: bootstrap_mean_interval(np.array([1.0, np.nan]), seed=0),
         lambda: compare_paired(np.ones(3, bool), np.ones(4, bool)),
         lambda: mcnemar_exact(-1, 2),

@@ -39,6 +39,7 @@ def test_a_trajectory_survives_the_file(model, tmp_path):
     assert again.nq == model.nq and again.body("arm").id == model.body("arm").id
 
 
+@pytest.mark.wrong_types
 def test_poses_that_do_not_fit_are_refused(model):
     good = poses(model)
     for qpos, dt, focus, field in (

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_handoff_dataset import equal, some
 
+from mjx_grasp.handoff.attempts import Attempts
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.generate import HandoffGenerator, _Accepted
 from mjx_grasp.handoff.states import eligible, states_of
@@ -17,12 +18,14 @@ BAD, GOOD = 1.0, 0.0  # errors on either side of the tolerance [m]
 def first_clear(error, *, agrees=(True, True), usable=(True, True), limit=False, hit=None):
     """Two starts, the second one cheaper; the choice and the reason against it."""
     cost = np.where(usable, [1.0, 0.0], np.inf)
-    found = SimpleNamespace(
+    found = Attempts(
         cost=cost,
         error=np.array(error)[:, None] * np.ones(3),
         at_limit=np.full(2, limit),
         agrees=np.array(agrees),
         q=np.arange(2),
+        position=np.zeros((2, 3, 3)),
+        normal=np.zeros((2, 3, 3)),
     )
     generator = SimpleNamespace(_config=HandoffConfig(out=Path("x.npz")))
     return HandoffGenerator._first_clear(generator, found, lambda q: (hit or {}).get(int(q)))

@@ -1,5 +1,4 @@
 import dataclasses
-from types import SimpleNamespace
 
 import handmade
 import jax
@@ -170,6 +169,7 @@ def test_states_of_another_robot_are_refused(tmp_path, robot):
             load_handoffs(path, robot=robot)
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("field", "value"),
     [
@@ -187,6 +187,7 @@ def test_what_does_not_fit_is_not_written(tmp_path, field, value):
     assert not path.exists()
 
 
+@pytest.mark.wrong_types
 def test_a_kind_that_nobody_knows_is_not_written(tmp_path):
     with pytest.raises(InputError, match="kind: found 'guessed', expected one of ik, reached"):
         some(kind="guessed").save(tmp_path / "set.npz")
@@ -196,9 +197,9 @@ def test_a_kind_that_nobody_knows_is_not_written(tmp_path):
 def test_states_of_another_mesh_are_refused(tmp_path):
     path = tmp_path / "set.npz"
     some().save(path)
-    right = [SimpleNamespace(name="can", content_hash="can-hash")]
-    wrong = [SimpleNamespace(name="can", content_hash="another")]
-    unknown = [SimpleNamespace(name="mug", content_hash="another")]
+    right = [dataclasses.replace(handmade.ball("can"), content_hash="can-hash")]
+    wrong = [handmade.ball("can")]
+    unknown = [handmade.ball("mug")]
     assert len(load_handoffs(path, right)) == len(load_handoffs(path, unknown)) == 20
     with pytest.raises(FileError, match="another can"):
         load_handoffs(path, wrong)

@@ -167,6 +167,7 @@ def test_pixels_outside_the_picture_are_refused(rendered, pixel):
         anchor_at("x", np.array(pixel), rendered[0])
 
 
+@pytest.mark.wrong_types
 def test_a_picture_of_another_size_is_refused(rendered):
     target, _ = rendered
     with pytest.raises(GroundingError, match="size"):

@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
+import handmade
 import pytest
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training import after
 from mjx_grasp.training.after import baselines, condition
@@ -20,7 +21,10 @@ class Asked(Exception):
     """What was asked for: the settings and noise of a task, or a scene."""
 
 
-class Recorder:
+class Recorder(World):
+    def __init__(self):
+        pass
+
     def task(self, engine, worlds, task, noise, **settings):
         raise Asked(task, noise)
 
@@ -35,7 +39,7 @@ def test_the_evaluation_has_the_condition_of_the_training():
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
 
 
-def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path):
+def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path, scene, starts):
     config = preset_config("cpu")
     assert config.scene.fix_idle_fingers and not preset_config("paper").scene.fix_idle_fingers
     (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())
@@ -44,11 +48,11 @@ def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path):
         raise Asked(objects, robot.name, scene)
 
     monkeypatch.setattr(after, "build_scene", asked)
-    world = SimpleNamespace(scene=SimpleNamespace(objects=("these",)))
+    states = handmade.handoffs(scene.objects)
     with pytest.raises(Asked) as evaluation:
-        after.evaluate_run(tmp_path, config, world, None, Console(quiet=True))
+        after.evaluate_run(tmp_path, config, World(scene, starts), states, Console(quiet=True))
     moving = replace(config.scene, fix_idle_fingers=False)
-    assert evaluation.value.args == (("these",), "rizon4_hx5d20", moving)
+    assert evaluation.value.args == (scene.objects, "rizon4_hx5d20", moving)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from brax.training.agents.ppo import networks
 from forging import rewrite
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.policy import load_policy, policy_from_training
 from mjx_grasp.learning.ppo import make_networks
@@ -17,17 +18,20 @@ from mjx_grasp.robot.identity import RobotIdentity
 ROBOT = RobotIdentity("six_axis", "a1" * 32)
 
 
-class Sizes:
+class Sizes(BraxTask):
     """All that the networks ask of an environment."""
 
     observation_size = {"state": (66,), "privileged_state": (120,)}  # noqa: RUF012
     action_size = 15
 
+    def __init__(self):
+        pass
+
 
 @pytest.fixture(scope="module")
 def trained():
     """Networks, parameters away from their small beginnings, and statistics of data."""
-    nets = make_networks(PPOConfig(hidden=(16, 12)), Sizes)
+    nets = make_networks(PPOConfig(hidden=(16, 12)), Sizes())
     params = nets.policy_network.init(jax.random.PRNGKey(0))
     keys = iter(jax.random.split(jax.random.PRNGKey(1), 50))
     params = jax.tree.map(lambda x: x + 0.5 * jax.random.normal(next(keys), x.shape), params)

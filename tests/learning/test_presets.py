@@ -1,11 +1,9 @@
 """Which preset `auto` takes, and that a training says so."""
 
-import io
 import json
 import sys
 
 import pytest
-from rich.console import Console
 
 from mjx_grasp import train as command
 from mjx_grasp.assets import asset_path
@@ -48,15 +46,14 @@ def test_a_preset_that_is_asked_for_is_not_changed(backend):
             parse(["--preset", "gpu"])
 
 
-def test_a_training_says_which_preset_it_took(tmp_path, monkeypatch, backend):
+def test_a_training_says_which_preset_it_took(tmp_path, monkeypatch, capsys, backend):
     """The command as it is typed, up to the first iteration."""
-    folder, said = tmp_path / "run", io.StringIO()
-    shown = Console(file=said, width=400)
+    folder = tmp_path / "run"
     shipped = asset_path("handoffs_standins.npz")
     small = ["--objects", "foam_brick", "--ppo.worlds", "4", "--ppo.minibatches", "2"]
     arguments = [*small, "--handoffs", str(shipped), "--out", str(folder), "--no-fit-memory"]
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
-    monkeypatch.setattr("rich.console.Console", lambda **_: shown)
+    monkeypatch.setenv("COLUMNS", "400")  # the width of the console
     monkeypatch.setattr(job, "BraxTask", lambda *_: None)
     monkeypatch.setattr(assemble.World, "task", lambda *_: None)
 
@@ -70,5 +67,5 @@ def test_a_training_says_which_preset_it_took(tmp_path, monkeypatch, backend):
     with pytest.raises(Begun):
         command.main()
     engine = {"gpu": "mjx", "cpu": "mujoco"}[backend]
-    assert f"preset {backend}: 1 object(s), 4 worlds in {engine}" in said.getvalue()
+    assert f"preset {backend}: 1 object(s), 4 worlds in {engine}" in capsys.readouterr().err
     assert json.loads((folder / "config.json").read_text())["preset"] == backend

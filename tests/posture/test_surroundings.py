@@ -87,7 +87,7 @@ def test_nearest_points_of_segments_against_dense_sampling(kind):
     exact = np.asarray(along).min(axis=0)
     outside = exact > 0
     t, found, low, high = nearest_on_segments(shape, jnp.asarray(start), jnp.asarray(end))
-    at_t = signed_distance(shape, start + np.asarray(t)[:, None] * (end - start))
+    at_t = signed_distance(shape, jnp.asarray(start) + t[:, None] * (end - start))
     np.testing.assert_allclose(found, at_t, atol=1e-6)
     np.testing.assert_allclose([low, high], along[np.array([0, -1])], atol=1e-6)
     excess = (np.asarray(found) - exact)[outside]

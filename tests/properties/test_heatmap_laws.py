@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -122,10 +123,10 @@ unit_angles = st.floats(0.0, np.pi)
 @given(unit_angles, unit_angles)
 def test_angle_terms_fall_with_the_angle(a, b):
     a, b = sorted((a, b))
-    up = np.float32([0, 0, 1])
-    tilted = [np.float32([np.sin(x), 0, np.cos(x)]) for x in (a, b)]
+    up = jnp.float32([0, 0, 1])
+    tilted = [jnp.float32([np.sin(x), 0, np.cos(x)]) for x in (a, b)]
     for score in (
-        lambda n: terms.friction_score(n, up, FRICTION),
+        lambda n: terms.friction_score(n, up, jnp.float32(FRICTION)),
         lambda n: terms.coherence_score(n, up, 0.5),
     ):
         near, far = (float(score(n)) for n in tilted)
@@ -138,10 +139,10 @@ lengths = st.floats(0.0, 0.3)
 @given(lengths, lengths)
 def test_length_terms_are_monotone(a, b):
     a, b = sorted((np.float32(a), np.float32(b)))
-    zero, x, z = np.zeros(3, np.float32), np.float32([1, 0, 0]), np.float32([0, 0, 1])
+    zero, x, z = jnp.float32([[0, 0, 0], [1, 0, 0], [0, 0, 1]])
 
     def width(w):
-        return float(terms.width_score(w, np.float32(SPAN), 0.01))
+        return float(terms.width_score(jnp.asarray(w), jnp.float32(SPAN), 0.01))
 
     # Rises up to the span, 1 on it, falls beyond it.
     if b <= SPAN[0]:

@@ -219,7 +219,7 @@ def _worst(record: ReachRecord, rows: np.ndarray, asked: float) -> dict[str, flo
     }
 
 
-def _millimetres(length: float) -> float:
+def _millimetres(length: float | np.floating) -> float:
     return round(1e3 * float(length), 3)
 
 

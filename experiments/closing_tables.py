@@ -14,7 +14,7 @@ from typing import Any
 from stage_tables import NOTHING, read, short_revision
 
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.results import ThroughputRow, read_results
+from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
     Column,
     Condition,
@@ -24,17 +24,20 @@ from mjx_grasp.evaluation.tables import (
     force_table,
     paired_table,
     read_groups,
-    throughput_table,
 )
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.table import Table
 
+CITATION = (
+    "*Steerable and Reactive Grasping Through Modular Design with a Three-Point Interface*: "
+    "8 selected objects, 448 episodes per object and condition"
+)
 EXPLANATION = (
     "Success in %, with 95 % intervals in brackets. The intervals treat trials as independent, but "
     "trials share start states: these are kept out of training, and each is used again with "
     "another offset where there are fewer states than trials. Force is the net contact force per "
     "finger from the onset of the lift. The last columns are quoted from "
-    f"{paper.CITATION}."
+    f"{CITATION}."
 )
 PAIRS = (
     "Differences in percentage points, with 95 % bootstrap intervals over trials; then the number "
@@ -48,6 +51,7 @@ LAYERS = (
     "resets, PPO's updates. Then parts of one physics step, of which a tick has five, and the "
     "speed of the whole loop as a share of MuJoCo Warp's:"
 )
+_ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _STEP_PARTS = {
     "step": "step",
     "collision": "step/forward/fwd_position/collision",
@@ -78,7 +82,7 @@ def means(paths: Sequence[Path]) -> str:
             ("publication: policy", f"{paper.MEAN.ours:.1f}", ""),
             ("publication: squeeze 3 N", f"{paper.MEAN.squeeze:.1f}", ""),
         ]
-        quoted = f" The last rows are quoted from {paper.CITATION}."
+        quoted = f" The last rows are quoted from {CITATION}."
     table = Table("Means", ("controller", "lifted and held %", "contact force N"), tuple(rows))
     episodes = " or ".join(map(str, sorted({r.episodes for c in columns for r in c.rows.values()})))
     objects = counted(len(condition.objects), "object")
@@ -142,6 +146,35 @@ def throughput(paths: Sequence[Path]) -> str:
         if apart:
             parts += [LAYERS, _layers(apart).markdown()]
     return "\n\n".join(parts)
+
+
+def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
+    """Speed and memory against worlds, device by device."""
+    rows = []
+    for file in files:
+        unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
+        for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
+            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
+            rows.append(
+                (
+                    str(file.provenance["device"]),
+                    _loop_name(row),
+                    f"{row.objects}",
+                    f"{row.worlds:,}{ticks}",
+                    f"{row.control_steps_per_s:,.0f}",
+                    "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
+                )
+            )
+    memory = "JAX's memory GiB"
+    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
+    return Table("Speed and memory", header, tuple(rows), names=2)
+
+
+def _loop_name(row: ThroughputRow) -> str:
+    """A loop and the engine that it is around."""
+    if row.loop == "mujoco_warp":
+        return "MuJoCo Warp alone"
+    return f"{row.loop}, {_ENGINES[row.engine]}"
 
 
 def _layers(details: Sequence[dict[str, Any]]) -> Table:

@@ -15,7 +15,6 @@ from mjx_grasp.evaluation.results import (
     OUTCOMES,
     ResultRow,
     Results,
-    ThroughputRow,
     mean_success,
     read_results,
 )
@@ -222,35 +221,6 @@ def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
         of_paper = [f"{paper.FAILURES[who][name]:.1f}" for who in ("ours", "squeeze")]
         rows.append((name.replace("_", " "), *cells, *of_paper))
     return Table(f"Failures: {_title_of(condition, columns)}", header, tuple(rows))
-
-
-def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
-    """Speed and memory against worlds, device by device."""
-    rows = []
-    for file in files:
-        unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
-        for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
-            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
-            rows.append(
-                (
-                    str(file.provenance["device"]),
-                    _loop_name(row),
-                    f"{row.objects}",
-                    f"{row.worlds:,}{ticks}",
-                    f"{row.control_steps_per_s:,.0f}",
-                    "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
-                )
-            )
-    memory = "JAX's memory GiB"
-    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
-    return Table("Speed and memory", header, tuple(rows), names=2)
-
-
-def _loop_name(row: ThroughputRow) -> str:
-    """A loop and the engine that it is around."""
-    if row.loop == "mujoco_warp":
-        return "MuJoCo Warp alone"
-    return f"{row.loop}, {_ENGINES.get(row.engine, row.engine)}"
 
 
 def _meshes_of(results: Results) -> str:

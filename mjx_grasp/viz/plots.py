@@ -31,7 +31,6 @@ _CURVES = (  # column, title, factor
 )
 _BLUE, _ORANGE, _GREY = "#2563a8", "#c8641e", "#5b6470"
 _MARKERS = (("o", _BLUE), ("D", "#2e8b57"), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
-_BELOW = (8.0, -12.0)
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
 
@@ -84,30 +83,11 @@ def training_curves(metrics: Metrics) -> bytes:
     return _png(figure)
 
 
-def success_against_force(columns: Sequence[Column]) -> bytes:
-    """Mean success against the mean contact force it took, one point per controller, as PNG.
+def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
+    """Mean success against the mean contact force it took, a panel per condition, as PNG.
 
-    Squeezes at several forces are joined to a front.
-
-    Raises:
-        InputError: No controller has a force.
-    """
-    points = _points(columns)
-    figure = _figure(6.0, 4.0)
-    ax = figure.subplots()
-    _front(ax, points, _BELOW)
-    for point in points:
-        if not point.is_squeeze:
-            _dot(ax, point, "o", _BLUE)
-            _name(ax, point, _BLUE, _BELOW)
-    ax.set_title("mean success over the objects [%]", loc="left", fontsize=10, color=_GREY)
-    return _png(figure)
-
-
-def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -> bytes:
-    """`success_against_force` for several conditions side by side, as PNG.
-
-    Policies of one label share a marker and a line in the legend.
+    Squeezes at several forces are joined to a front. Policies of one label share a marker and a
+    line in the legend. Controllers without a force are left out.
 
     Args:
         panels: Controllers by the condition's words.
@@ -124,7 +104,7 @@ def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
-        _front(ax, [p._replace(label=p.label.removeprefix("squeeze ")) for p in part], (-17, 10))
+        _front(ax, [p for p in part if p.is_squeeze])
         for point in part:
             if not point.is_squeeze:
                 shown[point.label] = _dot(ax, point, *looks[point.label])
@@ -133,7 +113,7 @@ def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -
     grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=_GREY)
     figure.legend(
         handles=[grid[0].lines[0], *(shown[label] for label in labels)],
-        labels=["squeeze, by the force commanded", *(f"policy, {label}" for label in labels)],
+        labels=["squeeze, by the force commanded", *labels],
         loc="outside lower center", ncols=4, frameon=False, fontsize=8,
     )  # fmt: skip
     return _png(figure)
@@ -165,15 +145,17 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
     return points
 
 
-def _front(ax: Axes, points: Sequence[_Point], at: tuple[float, float]) -> None:
-    """The squeezes, joined, with their names so far off them, and the axes."""
+def _front(ax: Axes, squeezes: Sequence[_Point]) -> None:
+    """The squeezes, joined, with their forces to their left and above, and the axes."""
     _style(ax)
-    squeezes = sorted(p for p in points if p.is_squeeze)
+    squeezes = sorted(squeezes)
     ax.plot([p.force for p in squeezes], [p.mean for p in squeezes], color=_ORANGE, alpha=0.5)
     for point in squeezes:
         _dot(ax, point, "s", _ORANGE)
-        _name(ax, point, _ORANGE, at)
-    ax.set_xlim(0, 1.25 * max(p.force for p in points))
+        ax.annotate(
+            point.label.removeprefix("squeeze "), (point.force, point.mean), xytext=(-17, 10),
+            textcoords="offset points", color=_ORANGE, fontsize=9,
+        )  # fmt: skip
     ax.set_ylim(0, 103)
     ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=_GREY)
 
@@ -183,14 +165,6 @@ def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer
     return ax.errorbar(
         point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
         color=colour, capsize=3, markersize=7,
-    )  # fmt: skip
-
-
-def _name(ax: Axes, point: _Point, colour: str, at: tuple[float, float]) -> None:
-    """Writes the point's name, so many points of print to its right and above it."""
-    ax.annotate(
-        point.label, (point.force, point.mean), xytext=at, textcoords="offset points",
-        color=colour, fontsize=9,
     )  # fmt: skip
 
 

@@ -138,7 +138,7 @@ def _results(paths: Sequence[str | Path]) -> str:
     for condition, columns in groups.items():
         parts.append(condition_table(condition, columns).html())
         if any(force is not None for c in columns for force in c.forces()):
-            plot = success_against_force(columns)
+            plot = success_against_force({condition.short(): columns})
             parts.append(_image(plot, "mean success against mean contact force"))
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
         parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")

@@ -72,7 +72,9 @@ def test_the_wheel_carries_every_module_and_every_asset(wheel):
         if p.is_file()
     }
     assert assets, "nothing ships"
-    assert (modules | assets.keys() | {"mjx_grasp/py.typed"}) <= sizes.keys()
+    assert (
+        modules | assets.keys() | {"mjx_grasp/py.typed", "mjx_grasp/__init__.pyi"}
+    ) <= sizes.keys()
     assert {name: sizes[name] for name in assets} == assets
     assert not [n for n in sizes if n.startswith(("tests/", "experiments/"))]
 

@@ -47,7 +47,3 @@ def joint_columns(spec: RobotSpec) -> Int[np.ndarray, " n"]:
     """Where the spec's joints stand among all joints of its MJCF."""
     names = [joint.name for joint in mujoco.MjSpec.from_file(str(spec.mjcf)).joints]
     return np.array([names.index(joint) for joint in spec.joints])
-
-
-if __name__ == "__main__":  # what the header of the shipped MJCF says
-    raise SystemExit("in the repository, `python experiments/robot_mjcf.py` builds the MJCF")

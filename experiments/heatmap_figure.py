@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.sampling import best_triple
 from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve

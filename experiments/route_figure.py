@@ -34,25 +34,22 @@ from mjx_grasp.evaluation.trials import paired_draws, record_trials
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import DistanceField
-from mjx_grasp.grasp import Candidates, from_heatmap
+from mjx_grasp.grasp.candidates import Candidates, from_heatmap
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.sampling import sample_object_poses
-from mjx_grasp.heatmap import Heatmap, heatmap_of
+from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
-from mjx_grasp.reaching import (
-    Planner,
-    Reacher,
-    ReachOutcome,
-    Surroundings,
-    reach_preset,
-    robot_body,
-    start_library,
-)
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.planning import Planner, start_library
+from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, WholeNumber

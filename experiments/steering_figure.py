@@ -19,9 +19,10 @@ from rich.table import Table
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
-from mjx_grasp.heatmap import Heatmap, compute_heatmap, steer
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmap.sampling import Triples, best_triple
+from mjx_grasp.heatmap.steering import Heatmap, steer
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue

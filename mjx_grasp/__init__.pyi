@@ -15,21 +15,21 @@ from mjx_grasp.robot.interface import Measured as Measured
 from mjx_grasp.robot.interface import Robot as Robot
 
 # Heatmaps and steering
-from mjx_grasp.heatmap import HeatmapConfig as HeatmapConfig
-from mjx_grasp.heatmap import compute_heatmap as compute_heatmap
-from mjx_grasp.heatmap import compute_heatmaps as compute_heatmaps
-from mjx_grasp.heatmap import heatmap_of as heatmap_of
-from mjx_grasp.heatmap import heatmaps_of as heatmaps_of
-from mjx_grasp.heatmap import steer as steer
-from mjx_grasp.heatmap import steer_many as steer_many
+from mjx_grasp.heatmap.config import HeatmapConfig as HeatmapConfig
+from mjx_grasp.heatmap.compute import compute_heatmap as compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmaps as compute_heatmaps
+from mjx_grasp.heatmap.compute import heatmap_of as heatmap_of
+from mjx_grasp.heatmap.compute import heatmaps_of as heatmaps_of
+from mjx_grasp.heatmap.steering import steer as steer
+from mjx_grasp.heatmap.steering import steer_many as steer_many
 from mjx_grasp.heatmap.nearness import steer_near as steer_near
 from mjx_grasp.heatmap.sampling import sample_triples as sample_triples
 from mjx_grasp.heatmap.files import save_heatmap as save_heatmap
 from mjx_grasp.heatmap.files import load_heatmap as load_heatmap
 
 # Language
-from mjx_grasp.language import PartGrounder as PartGrounder
-from mjx_grasp.language import RexOmniGrounder as RexOmniGrounder
+from mjx_grasp.language.parts import PartGrounder as PartGrounder
+from mjx_grasp.language.rex_omni import RexOmniGrounder as RexOmniGrounder
 
 # Scene and physics
 from mjx_grasp.sim.scene import SceneConfig as SceneConfig
@@ -39,21 +39,21 @@ from mjx_grasp.sim.native import NativePhysics as NativePhysics
 from mjx_grasp.sim.sim_robot import SimRobot as SimRobot
 
 # Selection of three points
-from mjx_grasp.grasp import Candidates as Candidates
-from mjx_grasp.grasp import HandPose as HandPose
-from mjx_grasp.grasp import SelectionConfig as SelectionConfig
-from mjx_grasp.grasp import ThreePoints as ThreePoints
-from mjx_grasp.grasp import from_heatmap as from_heatmap
-from mjx_grasp.grasp import select as select
-from mjx_grasp.grasp import start_selection as start_selection
+from mjx_grasp.grasp.candidates import Candidates as Candidates
+from mjx_grasp.grasp.select import HandPose as HandPose
+from mjx_grasp.grasp.config import SelectionConfig as SelectionConfig
+from mjx_grasp.grasp.points import ThreePoints as ThreePoints
+from mjx_grasp.grasp.candidates import from_heatmap as from_heatmap
+from mjx_grasp.grasp.select import select as select
+from mjx_grasp.grasp.select import start_selection as start_selection
 
 # Reaching
 from mjx_grasp.posture.body import robot_body as robot_body
 from mjx_grasp.posture.surroundings import Surroundings as Surroundings
-from mjx_grasp.reaching import Planner as Planner
-from mjx_grasp.reaching import Reacher as Reacher
-from mjx_grasp.reaching import reach_preset as reach_preset
-from mjx_grasp.reaching import start_library as start_library
+from mjx_grasp.reaching.planning import Planner as Planner
+from mjx_grasp.reaching.controller import Reacher as Reacher
+from mjx_grasp.reaching.presets import reach_preset as reach_preset
+from mjx_grasp.reaching.planning import start_library as start_library
 
 # Closing
 from mjx_grasp.closing.closer import Closer as Closer

@@ -12,7 +12,7 @@ from test_imports import ORDER
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow, Results, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.reaching import ReachOutcome
+from mjx_grasp.reaching.controller import ReachOutcome
 from mjx_grasp.robot.identity import FIRST_ROBOT
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -19,7 +19,7 @@ def steer_near(
 ) -> Float[Array, " v"]:
     """Scores for an anchor that should lie between the contacts; an addition to the method.
 
-    The publication's factor (:func:`~mjx_grasp.heatmap.steer`) measures the anchor's distance d⊥
+    The publication's factor (:func:`~.steering.steer`) measures the anchor's distance d⊥
     from the grasp axis, which is a line: a grasp at the other end of the object keeps its score
     where the line happens to meet the anchor. Here it is multiplied by ``exp(−(e/σ)²)``, with e how
     far along the axis the anchor lies beyond the contacts, 0 between them. With

@@ -11,8 +11,9 @@ import trimesh
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import tiles
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, compute_heatmaps
 from mjx_grasp.heatmap.backends import backend_for
+from mjx_grasp.heatmap.compute import compute_heatmap, compute_heatmaps
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.meshes import centred, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 

@@ -8,9 +8,10 @@ from forging import rewrite
 from made_up import made_up
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.heatmap import compute_heatmap, steer
 from mjx_grasp.heatmap.colours import VOID, score_colours
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import TERMS, HeatmapInfo, load_heatmap, save_heatmap, write_ply
+from mjx_grasp.heatmap.steering import steer
 
 INFO = HeatmapInfo("thing", (0.02, 0.09), 0.5, (0.0, 0.001, 0.0), (0.01, 0.0, 0.02), 0.03)
 DOCUMENTED = {

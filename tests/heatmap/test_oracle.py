@@ -9,7 +9,8 @@ import oracle
 import pytest
 import trimesh
 
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.meshes import centred, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 

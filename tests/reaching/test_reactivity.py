@@ -10,7 +10,7 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import cylinder_candidates
+from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
 from mjx_grasp.reaching.planning import Planner, plan_again, start_library

@@ -17,7 +17,7 @@ from PIL import Image
 from typed import refusal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
 from mjx_grasp.language.camera import PinholeCamera
 from mjx_grasp.language.grounding import target_of

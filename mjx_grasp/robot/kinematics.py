@@ -104,20 +104,11 @@ class Kinematics:
         Rows 0–2 are the linear velocity of the frame's origin [m/s], rows 3–5 the angular velocity
         [rad/s], both along the world's axes.
         """
-        chains = self.chains
-        node_pos, node_mat = self._nodes(q)
-        frame_pos, _ = self._frames(node_pos, node_mat)
-        parent_mat = node_mat[chains.parent]
-        axis = _rotated(parent_mat, _constant(chains.axis, q))
-        anchor = node_pos[chains.parent] + _rotated(parent_mat, _constant(chains.anchor, q))
-        hinge = jnp.asarray(chains.hinge)[:, None]
-        swept = jnp.cross(axis, frame_pos[:, None, :] - anchor)
-        linear = jnp.where(hinge, swept, axis)
-        angular = jnp.broadcast_to(jnp.where(hinge, axis, 0.0), linear.shape)
-        twists = jnp.concatenate([linear, angular], axis=-1)
-        twists = jnp.where(jnp.asarray(chains.moves)[:, :, None], twists, 0.0)
-        columns = jnp.zeros((len(self.frames), 6, len(self.joints)), q.dtype)
-        return columns.at[:, :, chains.column].set(jnp.swapaxes(twists, 1, 2))
+        motion = self.motion(q)
+        angular, linear = motion.screws[:, :3], motion.screws[:, 3:]
+        swept = jnp.cross(angular, motion.pos[:, None]) + linear
+        twists = jnp.concatenate([swept, jnp.broadcast_to(angular, swept.shape)], axis=-1)
+        return jnp.swapaxes(jnp.where(jnp.asarray(self.moves)[:, :, None], twists, 0.0), 1, 2)
 
     def _nodes(
         self, q: Float[Array, " joints"]

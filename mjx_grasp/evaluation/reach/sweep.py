@@ -215,35 +215,24 @@ def _begin(reacher: Reacher, problem: Problem) -> _Reached:
 
 
 def empty_record(joints: int) -> ReachRecord:
-    """Before the first tick."""
-    many = jnp.full(len(TOLERANCES), jnp.inf)
-    nan, inf, none = jnp.full(3, jnp.nan), jnp.float32(jnp.inf), jnp.zeros(joints)
-    return ReachRecord(
+    """Before the first tick: infinite, but for what is no least of all ticks."""
+    many, nan = jnp.full(len(TOLERANCES), jnp.inf), jnp.full(3, jnp.nan)
+    return ReachRecord(*[jnp.float32(jnp.inf)] * len(ReachRecord._fields))._replace(
         fine_time=many,
         clock=many,
-        near=inf,
         plans_left=jnp.int32(0),
         handoff_error=nan,
         handoff_contact=nan,
         handoff_midpoint=jnp.float32(jnp.nan),
         handoff_time=jnp.float32(jnp.nan),
-        start_distance=inf,
         been_clear=jnp.asarray(False),
-        object_distance=inf,
-        table_margin=inf,
-        finger_distance=inf,
-        arm_distance=inf,
         speed_ratio=jnp.float32(0.0),
         limit_excess=jnp.float32(0.0),
         infeasible=jnp.int32(0),
         ticks=jnp.int32(0),
         last_error=nan,
-        last_object=inf,
-        last_table=inf,
-        last_finger=inf,
-        q=none,
-        best_q=none,
-        best_error=inf,
+        q=jnp.zeros(joints),
+        best_q=jnp.zeros(joints),
     )
 
 

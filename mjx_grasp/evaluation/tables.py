@@ -107,14 +107,11 @@ def read_groups(paths: Iterable[str | Path]) -> Groups:
     return dict(sorted(groups.items(), key=lambda item: _condition_order(item[0])))
 
 
-def success_table(
-    rows: Sequence[ResultRow], with_paper: bool = True, *, scans: bool | None = None
-) -> Table:
+def success_table(rows: Sequence[ResultRow], *, scans: bool | None = None) -> Table:
     """The table of `condition_table` from the rows of one run.
 
     Args:
         rows: Of one condition.
-        with_paper: Whether the publication's figures stand beside them.
         scans: Whether the objects are real scans; the title does not say if None.
 
     Raises:
@@ -127,21 +124,20 @@ def success_table(
     if len(groups) != 1:
         raise InputError("rows", f"{len(groups)} conditions", "rows of one condition")
     ((condition, columns),) = groups.items()
-    return condition_table(condition, sorted(columns, key=_column_order), with_paper)
+    return condition_table(condition, sorted(columns, key=_column_order))
 
 
-def condition_table(
-    condition: Condition, columns: Sequence[Column], with_paper: bool = True
-) -> Table:
+def condition_table(condition: Condition, columns: Sequence[Column]) -> Table:
     """Success per object with 95 % intervals, one column per controller; means and forces below.
+
+    The publication's figures stand beside them, where it has any.
 
     Args:
         condition: What the columns share.
         columns: The controllers.
-        with_paper: Whether the publication's figures stand beside them, where it has any.
     """
     names = _object_order(condition.objects)
-    with_paper = with_paper and bool(condition.objects & paper.OBJECTS.keys())
+    with_paper = bool(condition.objects & paper.OBJECTS.keys())
     header = ["object", *(c.label for c in columns)]
     if with_paper:
         header += ["paper: policy", "paper: squeeze 3 N"]

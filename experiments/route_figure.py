@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from small_png import write_png
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
@@ -59,7 +60,6 @@ from mjx_grasp.tasks.assemble import build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.viz import frames
 from mjx_grasp.viz.camera import TURN_DEG, best_azimuth, look_at
-from mjx_grasp.viz.contact_sheet import write_png
 from mjx_grasp.viz.heatmap import Picture, Subject, draw
 from mjx_grasp.viz.raster import look_from
 

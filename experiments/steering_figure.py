@@ -16,6 +16,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from small_png import write_png
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
@@ -31,7 +32,7 @@ from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import Subject, best_axes, subject_of
 
 SCHEMA = "mjx_grasp.steering/1"

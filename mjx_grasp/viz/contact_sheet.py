@@ -14,7 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.records.atomic import replacing
 from mjx_grasp.viz.heatmap import ANCHOR, BACKGROUND, THUMB, WRAP, Subject, draw
 
 _INK, _GREY = (25, 25, 35), (110, 115, 125)
@@ -22,7 +21,6 @@ _ASPECT = 1.6  # of a whole sheet
 _MOST_PIXELS = 8000  # of a sheet's side
 _PAD = 0.05  # of a cell
 _LEAST_WIDTH = 52  # letters: colour bar and legend side by side
-_TONE_STEPS = (1, 2, 3, 4, 6, 8)  # of 255; 4 is not seen on shaded surfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +89,6 @@ def contact_sheet(
     _draw_bar(sheet, pen, pad, height - foot + font, font, top, scale)
     _draw_legend(pen, cells, width - pad, height - foot + 1.5 * font, font)
     return sheet
-
-
-def write_png(path: str | Path, sheet: Image.Image, max_bytes: int | None = None) -> None:
-    """Writes a sheet as PNG, all or nothing; with fewer tones where it would be too large.
-
-    Raises:
-        InputError: It is larger than asked for even with the fewest tones.
-    """
-    tones = np.asarray(sheet)
-    with replacing(path) as temporary:
-        for step in _TONE_STEPS:
-            coarse = np.where(tones == 255, 255, np.round(tones / step) * step).clip(0, 255)
-            Image.fromarray(coarse.astype(np.uint8)).save(temporary, optimize=True)
-            size = temporary.stat().st_size
-            if max_bytes is None or size <= max_bytes:
-                return
-        raise InputError("max_bytes", max_bytes, f"at least {size} bytes: fewer or smaller cells")
 
 
 def _draw_bar(

@@ -29,7 +29,9 @@ _CURVES = (  # column, title, factor
     ("force_n", "contact force per finger [N]", 1.0),
     ("steps_per_s", "environment steps per second", 1.0),
 )
-_BLUE, _ORANGE, _GREY = "#2563a8", "#c8641e", "#5b6470"
+_BLUE, _ORANGE = "#2563a8", "#c8641e"
+GREY = "#5b6470"
+"""Of words."""
 _MARKERS = (("o", _BLUE), ("D", "#2e8b57"), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
@@ -56,17 +58,17 @@ def training_curves(metrics: Metrics) -> bytes:
 
     A curve whose column is missing or holds no number says so in its place.
     """
-    figure = _figure(9.6, 5.6)
+    figure = new_figure(9.6, 5.6)
     axes = figure.subplots(2, 2, sharex=True)
     steps = metrics["env_steps"]
     for ax, (name, title, factor) in zip(axes.flat, _CURVES, strict=True):
-        _style(ax)
-        ax.set_title(title, loc="left", fontsize=10, color=_GREY)
+        style(ax)
+        ax.set_title(title, loc="left", fontsize=10, color=GREY)
         values = factor * metrics.get(name, np.full(len(steps), np.nan))
         known = np.isfinite(values) & np.isfinite(steps)
         if not known.any():
             why = "no whole episode ended" if name in metrics else "not recorded"
-            ax.text(0.5, 0.5, why, ha="center", color=_GREY, transform=ax.transAxes)
+            ax.text(0.5, 0.5, why, ha="center", color=GREY, transform=ax.transAxes)
             continue
         x, y = steps[known], values[known]
         ax.plot(x, y, color=_BLUE, alpha=0.25, linewidth=1)
@@ -79,8 +81,8 @@ def training_curves(metrics: Metrics) -> bytes:
         if name == "steps_per_s":
             ax.yaxis.set_major_formatter(EngFormatter(sep=""))
     for ax in axes[-1]:
-        ax.set_xlabel("environment steps", fontsize=9, color=_GREY)
-    return _png(figure)
+        ax.set_xlabel("environment steps", fontsize=9, color=GREY)
+    return png(figure)
 
 
 def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
@@ -100,7 +102,7 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     points = {title: _points(columns) for title, columns in panels.items()}
     labels = sorted({p.label for part in points.values() for p in part if not p.is_squeeze})
     looks = dict(zip(labels, itertools.cycle(_MARKERS)))
-    figure = _figure(4.2 * len(panels), 4.2)
+    figure = new_figure(4.2 * len(panels), 4.2)
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
@@ -108,15 +110,15 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
         for point in part:
             if not point.is_squeeze:
                 shown[point.label] = _dot(ax, point, *looks[point.label])
-        ax.set_title(title, loc="left", fontsize=10, color=_GREY)
+        ax.set_title(title, loc="left", fontsize=10, color=GREY)
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
-    grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=_GREY)
+    grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
     figure.legend(
         handles=[grid[0].lines[0], *(shown[label] for label in labels)],
         labels=["squeeze, by the force commanded", *labels],
         loc="outside lower center", ncols=4, frameon=False, fontsize=8,
     )  # fmt: skip
-    return _png(figure)
+    return png(figure)
 
 
 class _Point(NamedTuple):
@@ -147,7 +149,7 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
 
 def _front(ax: Axes, squeezes: Sequence[_Point]) -> None:
     """The squeezes, joined, with their forces to their left and above, and the axes."""
-    _style(ax)
+    style(ax)
     squeezes = sorted(squeezes)
     ax.plot([p.force for p in squeezes], [p.mean for p in squeezes], color=_ORANGE, alpha=0.5)
     for point in squeezes:
@@ -157,7 +159,7 @@ def _front(ax: Axes, squeezes: Sequence[_Point]) -> None:
             textcoords="offset points", color=_ORANGE, fontsize=9,
         )  # fmt: skip
     ax.set_ylim(0, 103)
-    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=_GREY)
+    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
 
 
 def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer:
@@ -184,21 +186,24 @@ def _number(cell: str | None) -> float:
         return float("nan")
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of a size in inches, on white."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
-def _style(ax: Axes) -> None:
+def style(ax: Axes) -> None:
+    """Quiet axes: thin and grey, with lines across."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color("#c4cad2")
-    ax.tick_params(colors=_GREY, labelsize=8)
+    ax.tick_params(colors=GREY, labelsize=8)
     ax.grid(axis="y", color="#e6e9ee", linewidth=0.8)
     ax.set_axisbelow(True)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """A figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130)
     return buffer.getvalue()

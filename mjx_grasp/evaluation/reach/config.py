@@ -8,8 +8,6 @@ from typing import Annotated
 
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Suffix
 
-Picture = Annotated[Path, Suffix((".png",))]
-
 
 @dataclass(frozen=True)
 class SweepConfig(CommandSettings):
@@ -29,7 +27,5 @@ class SweepConfig(CommandSettings):
     """poses worked on at once; by default 128 on a CPU, all of them on an accelerator [-]"""
     out: Annotated[Path, Suffix((".json",))] | None = None
     """results file to write (.json)"""
-    plot: Picture | None = None
+    plot: Annotated[Path, Suffix((".png",))] | None = None
     """plot to write (.png)"""
-    gallery: Picture | None = None
-    """pictures of failures to write (.png); needs MUJOCO_GL=egl on a machine without a screen"""

@@ -16,6 +16,7 @@ import numpy as np
 import tyro
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
+from renderer import check_backend
 from rich.console import Console
 
 from mjx_grasp.cli import run_command
@@ -28,7 +29,6 @@ from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Suffix
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec, load_robot
-from mjx_grasp.viz.frames import check_backend
 
 _SIZE = 320
 

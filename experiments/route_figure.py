@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from renderer import check_backend
 from small_png import write_png
 
 from mjx_grasp.assets import asset_path
@@ -40,8 +41,7 @@ from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.sampling import sample_object_poses
 from mjx_grasp.heatmap.compute import heatmap_of
-from mjx_grasp.heatmap.nearness import steer_near
-from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.heatmap.steering import Heatmap, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
@@ -138,7 +138,7 @@ def main(config: RouteConfig) -> None:
     """Computes, draws and writes."""
     for flag, path in (("--out", config.out), ("--results", config.results)):
         check_writable(flag, path)
-    frames.check_backend()
+    check_backend()
     made = provenance(config.seed)  # before anything is written, so that the revision is not dirty
     robot, model = load_robot(), load_object(config.object, config.objects_dir)
     faces = np.asarray(model.mesh.faces)

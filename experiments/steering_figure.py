@@ -21,9 +21,8 @@ from small_png import write_png
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
 from mjx_grasp.heatmap.compute import compute_heatmap
-from mjx_grasp.heatmap.nearness import steer_near
 from mjx_grasp.heatmap.sampling import Triples, best_triple
-from mjx_grasp.heatmap.steering import Heatmap, steer
+from mjx_grasp.heatmap.steering import Heatmap, steer, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue

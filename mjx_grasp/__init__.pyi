@@ -22,7 +22,7 @@ from mjx_grasp.heatmap.compute import heatmap_of as heatmap_of
 from mjx_grasp.heatmap.compute import heatmaps_of as heatmaps_of
 from mjx_grasp.heatmap.steering import steer as steer
 from mjx_grasp.heatmap.steering import steer_many as steer_many
-from mjx_grasp.heatmap.nearness import steer_near as steer_near
+from mjx_grasp.heatmap.steering import steer_near as steer_near
 from mjx_grasp.heatmap.sampling import sample_triples as sample_triples
 from mjx_grasp.heatmap.files import save_heatmap as save_heatmap
 from mjx_grasp.heatmap.files import load_heatmap as load_heatmap

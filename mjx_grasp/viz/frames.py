@@ -5,7 +5,6 @@ Imports MuJoCo only inside `render`, so that the caller decides on MUJOCO_GL.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,23 +26,6 @@ _SUPERSAMPLING = 2  # software renderers have no smooth edges of their own
 
 class BackendError(MjxGraspError):
     """The OpenGL backend that MUJOCO_GL names does not work on this machine."""
-
-
-def check_backend() -> None:
-    """Whether MuJoCo can render in this process, with what MUJOCO_GL names, found out by doing it.
-
-    Raises:
-        BackendError: It cannot.
-    """
-    try:
-        import mujoco
-
-        with warnings.catch_warnings():  # GLFW tells twice what fails, and then fails
-            warnings.simplefilter("ignore")
-            with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
-                renderer.render()
-    except Exception as error:
-        raise BackendError(_first_line(error)) from error
 
 
 def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[Frame]:

@@ -27,7 +27,8 @@ from mjx_grasp.posture.body import robot_body
 from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.sweep import empty_record
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.viz.frames import BackendError, check_backend
+from mjx_grasp.viz.frames import BackendError
+from renderer import check_backend
 from reach_failures import failure_gallery
 
 try:

@@ -47,11 +47,6 @@ def quat_mul(
     )
 
 
-def quat_conj(q: Float[Array, "*batch 4"]) -> Float[Array, "*batch 4"]:
-    """The inverse of a unit quaternion."""
-    return q * jnp.asarray([1.0, -1.0, -1.0, -1.0], q.dtype)
-
-
 def quat_rotate(
     q: Float[Array, "*#batch 4"], v: Float[Array, "*#batch 3"]
 ) -> Float[Array, "*batch 3"]:

@@ -98,18 +98,6 @@ class Kinematics:
         """Origins [m] and rotations (columns are the frame's axes) of the frames, in the world."""
         return self._frames(*self._nodes(q))
 
-    def jacobian(self, q: Float[Array, " joints"]) -> Float[Array, "frames 6 joints"]:
-        """Maps joint velocities to twists of the frames.
-
-        Rows 0–2 are the linear velocity of the frame's origin [m/s], rows 3–5 the angular velocity
-        [rad/s], both along the world's axes.
-        """
-        motion = self.motion(q)
-        angular, linear = motion.screws[:, :3], motion.screws[:, 3:]
-        swept = jnp.cross(angular, motion.pos[:, None]) + linear
-        twists = jnp.concatenate([swept, jnp.broadcast_to(angular, swept.shape)], axis=-1)
-        return jnp.swapaxes(jnp.where(jnp.asarray(self.moves)[:, :, None], twists, 0.0), 1, 2)
-
     def _nodes(
         self, q: Float[Array, " joints"]
     ) -> tuple[Float[Array, "nodes 3"], Float[Array, "nodes 3 3"]]:

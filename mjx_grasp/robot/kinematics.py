@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.geometry.so3 import product
+from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.robot.chains import Chains, compile_chains
 
 
@@ -83,8 +85,8 @@ class Kinematics:
         chains = self.chains
         node_pos, node_mat = self._nodes(q)
         parent_mat = node_mat[chains.parent]
-        axis = _rotated(parent_mat, _constant(chains.axis, q))
-        anchor = node_pos[chains.parent] + _rotated(parent_mat, _constant(chains.anchor, q))
+        axis = turned(parent_mat, _constant(chains.axis, q))
+        anchor = node_pos[chains.parent] + turned(parent_mat, _constant(chains.anchor, q))
         hinge = jnp.asarray(chains.hinge)[:, None]
         angular = jnp.where(hinge, axis, 0.0)
         linear = jnp.where(hinge, jnp.cross(anchor, axis), axis)
@@ -112,7 +114,7 @@ class Kinematics:
             + sin * _constant(chains.sine, q)
         )
         slid = jnp.where(jnp.asarray(chains.hinge), 0.0, s)[:, None] * _constant(chains.axis, q)
-        pos = _constant(chains.anchor, q) + slid - _rotated(mat, _constant(chains.offset, q))
+        pos = _constant(chains.anchor, q) + slid - turned(mat, _constant(chains.offset, q))
 
         level_pos, level_mat = [jnp.zeros((1, 3), q.dtype)], [jnp.eye(3, dtype=q.dtype)[None]]
         first = 0
@@ -120,8 +122,8 @@ class Kinematics:
             parent = chains.parent[level] - first
             first += len(level_pos[-1])
             above_pos, above_mat = level_pos[-1][parent], level_mat[-1][parent]
-            level_pos.append(above_pos + _rotated(above_mat, pos[level]))
-            level_mat.append(_product(above_mat, mat[level]))
+            level_pos.append(above_pos + turned(above_mat, pos[level]))
+            level_mat.append(product(above_mat, mat[level]))
         return jnp.concatenate(level_pos), jnp.concatenate(level_mat)
 
     def _frames(
@@ -130,21 +132,10 @@ class Kinematics:
         """The frames on their nodes."""
         pos, mat = node_pos[self.chains.frame_node], node_mat[self.chains.frame_node]
         return (
-            pos + _rotated(mat, _constant(self.chains.frame_pos, pos)),
-            _product(mat, _constant(self.chains.frame_mat, mat)),
+            pos + turned(mat, _constant(self.chains.frame_pos, pos)),
+            product(mat, _constant(self.chains.frame_mat, mat)),
         )
 
 
 def _constant(value: np.ndarray, like: Array) -> Array:
     return jnp.asarray(value, like.dtype)
-
-
-# Products are written out: a reduction would end the fusion with what comes before.
-def _rotated(mat: Float[Array, "n 3 3"], vec: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    x, y, z = (mat[:, :, k] * vec[:, k, None] for k in range(3))
-    return x + y + z
-
-
-def _product(a: Float[Array, "n 3 3"], b: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-    x, y, z = (a[:, :, k, None] * b[:, None, k, :] for k in range(3))
-    return x + y + z

@@ -98,24 +98,16 @@ def write(
 
 def write_mp4(path: str | Path, pictures: Sequence[Frame], fps: float) -> None:
     """An H.264 video that browsers play."""
-    import imageio_ffmpeg
+    import imageio
 
     height, width = pictures[0].shape[:2]
-    even = (width - width % 2, height - height % 2)  # the encoder's colour format needs it
+    # The encoder's colour format needs even sizes.
+    even: list[Any] = [picture[: height - height % 2, : width - width % 2] for picture in pictures]
     with replacing(path) as temporary:
-        encoder = imageio_ffmpeg.write_frames(
-            str(temporary),
-            even,
-            fps=fps,
-            codec="libx264",
-            quality=None,
-            macro_block_size=1,
-            output_params=["-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
-        )
-        encoder.send(None)
-        for picture in pictures:
-            encoder.send(np.ascontiguousarray(picture[: even[1], : even[0]]))
-        encoder.close()
+        imageio.mimwrite(
+            temporary, even, fps=fps, codec="libx264", quality=None, macro_block_size=1,
+            output_params=["-crf", "20", "-movflags", "+faststart"],
+        )  # fmt: skip
 
 
 def write_gif(

@@ -14,7 +14,7 @@ def main() -> None:
         import tyro
         from rich.console import Console
 
-        from mjx_grasp.evaluation.reach.config import SweepConfig
+        from mjx_grasp.evaluation.reach.poses import SweepConfig
         from mjx_grasp.records.atomic import check_writable
 
         config = tyro.cli(SweepConfig, description=__doc__)

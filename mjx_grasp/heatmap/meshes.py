@@ -64,7 +64,7 @@ class MeshConfig(CommandSettings):
         Raises:
             FileError: It cannot be used.
         """
-        return refined(read_mesh(path)[0], self.edge)
+        return refined(read_mesh(path), self.edge)
 
 
 def heatmap_of_mesh(

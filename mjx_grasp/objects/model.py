@@ -66,7 +66,7 @@ def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
     info = _info(name)
     if objects_dir is None:
         return stand_in(info.scan_of, info.scale)
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale)
+    return centred(read_mesh(find_scan(objects_dir, info.scan_names)), info.scale)
 
 
 def _info(name: str) -> ObjectInfo:

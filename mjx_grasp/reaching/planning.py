@@ -69,8 +69,6 @@ class Search(NamedTuple):
     least_error: Float[Array, ""]
     """of all clear solutions, the least of their largest tip errors; +inf if all penetrate
     something [m]"""
-    least_penetration: Float[Array, ""]
-    """of all solutions within 20 mm [m]"""
     at_limit: Bool[Array, ""]
     """whether the best attempt has a joint at its limit"""
 
@@ -155,12 +153,11 @@ class Planner:
             guide=jax.vmap(planned)(kept),
         )
         error = jnp.max(found.error, axis=1)
-        clear, close = allowed[option] & (found.penetration <= 0), allowed[option] & (error <= 0.02)
+        clear = allowed[option] & (found.penetration <= 0)
         return Search(
             plans=plans,
             cost=cost[kept],
             least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
-            least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
             at_limit=found.at_limit[kept[0]],
         )
 

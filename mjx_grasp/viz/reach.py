@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mjx_grasp.evaluation.reach.config import SweepConfig
-from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution
+from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig
 from mjx_grasp.evaluation.reach.results import PAPER_RATE
 from mjx_grasp.evaluation.reach.run import SweepRun
 from mjx_grasp.evaluation.reach.sweep import BUDGETS

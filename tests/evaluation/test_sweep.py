@@ -9,8 +9,7 @@ import pytest
 from typed import refusal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.reach.config import SweepConfig
-from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, draw_poses
+from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig, draw_poses
 from mjx_grasp.evaluation.reach.results import FAILURES, PAPER_RATE, classify, summary
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
@@ -68,7 +67,6 @@ def _records(body, count):
     middle = 0.5 * (body.lower + body.upper)
     return stacked._replace(
         q=np.tile(middle, (count, 1)),
-        last_error=np.full((count, 3), 0.1),
         ticks=np.ones(count, int),
     )
 

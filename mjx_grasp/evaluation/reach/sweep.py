@@ -66,8 +66,6 @@ class ReachRecord(NamedTuple):
     """ticks without a solution"""
     ticks: Int[Array, ""]
     """ticks until the end"""
-    last_error: Float[Array, " 3"]
-    """tip errors at the end [m]"""
     last_object: Float[Array, ""]
     """of robot and object at the end, over what is asked for [m]"""
     last_table: Float[Array, ""]
@@ -230,7 +228,6 @@ def empty_record(joints: int) -> ReachRecord:
         limit_excess=jnp.float32(0.0),
         infeasible=jnp.int32(0),
         ticks=jnp.int32(0),
-        last_error=nan,
         q=jnp.zeros(joints),
         best_q=jnp.zeros(joints),
     )
@@ -319,7 +316,6 @@ def recorded(
         limit_excess=jnp.maximum(record.limit_excess, jnp.max(beyond)),
         infeasible=state.infeasible,
         ticks=record.ticks + 1,
-        last_error=report.error,
         last_object=report.object_distance - limits.clearances.object,
         last_table=report.table_margin,
         last_finger=report.finger_distance - limits.clearances.fingers,

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING, read, short_revision
+from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
@@ -88,7 +88,7 @@ def means(paths: Sequence[Path]) -> str:
     objects = counted(len(condition.objects), "object")
     return (
         f"{objects} ({condition.meshes}), {episodes} trials each in "
-        f"{condition.short()}:\n\n{table.markdown()}\n\n"
+        f"{condition.short()}:\n\n{markdown(table)}\n\n"
         "Means over the objects. ± is how far the object may be from where the controller believes "
         f"it to be; the force is that of one finger on the object, averaged over the lift.{quoted}"
     )
@@ -102,7 +102,7 @@ def all_conditions(paths: Sequence[Path]) -> str:
     parts = [EXPLANATION]
     parts += ["### Means over the objects", *_means_by_engine(groups)]
     if (pairs := paired_table(groups)).rows:
-        parts += [f"### {pairs.title}", pairs.markdown(), PAIRS]
+        parts += [f"### {pairs.title}", markdown(pairs), PAIRS]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
 
@@ -123,15 +123,15 @@ def _means_by_engine(groups: Groups) -> list[str]:
     for title, lines in blocks.items():
         conditions = tuple(dict.fromkeys(errors for line in lines.values() for errors in line))
         rows = tuple((name, *(line.get(c, "") for c in conditions)) for name, line in lines.items())
-        parts += [f"{title}:", Table(title, ("controller", *conditions), rows).markdown()]
+        parts += [f"{title}:", markdown(Table(title, ("controller", *conditions), rows))]
     return parts
 
 
 def _folded(condition: Condition, columns: Sequence[Column]) -> str:
     success = condition_table(condition, columns)
-    parts = [f"<details><summary>{success.title}</summary>", success.markdown()]
+    parts = [f"<details><summary>{success.title}</summary>", markdown(success)]
     for table in (force_table(condition, columns), failure_table(condition, columns)):
-        parts += [f"{table.title.partition(':')[0]}:", table.markdown()]
+        parts += [f"{table.title.partition(':')[0]}:", markdown(table)]
     return "\n\n".join([*parts, "</details>"])
 
 
@@ -140,11 +140,11 @@ def throughput(paths: Sequence[Path]) -> str:
     if not paths:
         return NOTHING
     files = [read_results(p, ThroughputRow) for p in paths]
-    parts = [throughput_table(files).markdown()]
+    parts = [markdown(throughput_table(files))]
     for file in files:
         apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
         if apart:
-            parts += [LAYERS, _layers(apart).markdown()]
+            parts += [LAYERS, markdown(_layers(apart))]
     return "\n\n".join(parts)
 
 
@@ -217,7 +217,7 @@ def runs(paths: Sequence[Path]) -> str:
         *("run", "device", "worlds × unroll", "residual", "critic sees", "objects", "seed"),
         *("M steps", "s", "steps/s", "success %", "force N", "git"),
     )
-    return Table("Training runs", header, lines, names=6).markdown()
+    return markdown(Table("Training runs", header, lines, names=6))
 
 
 def shipped_policy(path: Path) -> str:

@@ -2,9 +2,8 @@
 
   python experiments/robot_mjcf.py
 
-The MJCF holds the robot alone; which geoms collide, by their bits, is said in
-`mjx_grasp/robot/mjcf.py`. Every byte of it is part of the robot's digest, by which policies and
-start states know their robot: the header too stays as it is.
+The MJCF holds the robot alone; the facts file says which geoms collide. Every byte of it is part of
+the robot's digest, by which policies and start states know their robot: the header too stays.
 """
 
 from __future__ import annotations

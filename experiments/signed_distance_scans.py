@@ -26,6 +26,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 from scans import has_scan
+from stage_tables import markdown
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
@@ -210,7 +211,7 @@ def main(config: DistanceConfig) -> None:
             "points_normals": config.count_normals,
             "without_scan": without_scan,
             "rows": rows,
-            "markdown": table(rows).markdown(),
+            "markdown": markdown(table(rows)),
         }
         write_json(config.out, document)
     Console().print(table(rows))

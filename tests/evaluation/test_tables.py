@@ -1,5 +1,7 @@
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -161,10 +163,11 @@ def test_one_table_shows_one_condition():
         success_table([*eight(9), *eight(9, offset_mm=10.0)])
 
 
-def test_the_three_layouts_hold_the_same_cells():
+def test_the_three_layouts_hold_the_same_cells(monkeypatch):
     table = replace(success_table([*eight(9), *eight(5, 3.0)]), title="a < b & c")
 
-    lines = table.markdown().splitlines()
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "experiments")
+    lines = import_module("stage_tables").markdown(table).splitlines()
     found = [[c.strip(" *") for c in line.strip("|").split("|")] for line in lines]
     assert tuple(found[0]) == table.header
     assert [tuple(r) for r in found[2:]] == list(table.rows)

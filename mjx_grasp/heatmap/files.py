@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.heatmap.colours import score_colours
@@ -121,33 +121,25 @@ def load_heatmap(path: str | Path) -> StoredHeatmap:
     return StoredHeatmap(heatmap, arrays["faces"], info)
 
 
-def write_ply(
-    path: str | Path,
-    heatmap: Heatmap,
-    faces: Int[np.ndarray, "f 3"],
-    score: Float[np.ndarray, " v"] | None = None,
-    top: float = 1.0,
-) -> None:
+def write_ply(path: str | Path, heatmap: Heatmap, faces: Int[np.ndarray, "f 3"]) -> None:
     """Writes the mesh coloured by its scores as a binary PLY, all or nothing.
 
-    Per vertex: position [m], normal, colour (purple 0 to yellow ``top``, grey without a candidate),
+    Per vertex: position [m], normal, colour (purple 0 to yellow 1, grey without a candidate),
     and the score itself as ``quality``, which mesh viewers can colour by anew.
 
     Args:
         path: The file.
         heatmap: Candidates, one per vertex.
         faces: Vertex indices.
-        score: Other scores than the heatmap's own, for example steered ones.
-        top: The score that gets the yellow end of the scale.
     """
-    score = np.asarray(heatmap.score if score is None else score, np.float32)
+    score = np.asarray(heatmap.score, np.float32)
     shown = np.where(np.asarray(heatmap.valid), score, np.nan)
     mesh = trimesh.Trimesh(
         np.asarray(heatmap.vertices),
         faces,
         process=False,
         vertex_normals=np.asarray(heatmap.normals),
-        vertex_colors=score_colours(shown, top),
+        vertex_colors=score_colours(shown),
         vertex_attributes={"quality": score},
     )
     with replacing(path) as temporary:

@@ -39,19 +39,6 @@ class PinholeCamera:
         if rotation.shape != (3, 3) or not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-5):
             raise InputError("R_wc", rotation, "a rotation matrix [3, 3]")
 
-    @classmethod
-    def from_fovy(
-        cls,
-        width: int,
-        height: int,
-        fovy: float,
-        R_wc: Float[np.ndarray, "3 3"],
-        p_wc: Float[np.ndarray, " 3"],
-    ) -> PinholeCamera:
-        """A camera with square pixels and a vertical field of view [rad], centred."""
-        focal = 0.5 * height / np.tan(0.5 * fovy)
-        return cls(width, height, focal, focal, 0.5 * width, 0.5 * height, R_wc, p_wc)
-
     def contains(self, pixel: Float[np.ndarray, " 2"]) -> bool:
         """Whether a pixel coordinate lies in the picture, its right and bottom edge included."""
         x, y = pixel

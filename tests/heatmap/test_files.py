@@ -153,8 +153,8 @@ def test_trimesh_reads_the_coloured_mesh(tmp_path):
 def test_steered_scores_colour_the_mesh_instead(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.03)
     heatmap = made_up(np.zeros(len(mesh.vertices)), mesh.vertices)
-    steered = np.full(len(mesh.vertices), 0.25)
-    write_ply(tmp_path / "a.ply", heatmap, mesh.faces, steered, top=0.5)
+    steered = heatmap._replace(score=np.full(len(mesh.vertices), 0.5))
+    write_ply(tmp_path / "a.ply", steered, mesh.faces)
     read = trimesh.load(tmp_path / "a.ply", process=False)
     half = score_colours(np.array([0.5]))[0]
     assert np.all(read.visual.vertex_colors[:, :3] == half)

@@ -39,7 +39,8 @@ def camera_of(model, data, name, width, height):
     """
     camera, fovy = data.cam(name), float(np.radians(model.cam(name).fovy[0]))
     axes = camera.xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
-    return PinholeCamera.from_fovy(width, height, fovy, axes, np.array(camera.xpos))
+    focal, middle = 0.5 * height / np.tan(0.5 * fovy), (0.5 * width, 0.5 * height)
+    return PinholeCamera(width, height, focal, focal, *middle, axes, np.array(camera.xpos))
 
 
 def main(name, out):

@@ -35,8 +35,8 @@ def test_depth_is_along_the_axis_and_not_along_the_ray(seed, x, y):
 
 
 def test_axes_are_right_down_forward():
-    eye = PinholeCamera.from_fovy(640, 480, np.radians(60), np.eye(3), np.zeros(3))
-    assert eye.cx == 320 and eye.cy == 240 and eye.fx == eye.fy
+    focal = 240 / np.tan(np.radians(30))
+    eye = PinholeCamera(640, 480, focal, focal, 320.0, 240.0, np.eye(3), np.zeros(3))
     half_height = 2.0 * np.tan(np.radians(30))
     pixel, depth = eye.project(np.array([[0, half_height, 2.0], [0.1, 0, 2.0], [0, 0, 1.0]]))
     assert np.allclose(pixel[0], [320, 480])

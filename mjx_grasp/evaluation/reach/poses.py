@@ -77,17 +77,14 @@ class CylinderPoses(NamedTuple):
     """on its side, else upright"""
 
 
-def draw_poses(
-    count: int, seed: int, distribution: PoseDistribution | None = None
-) -> CylinderPoses:
+def draw_poses(count: int, seed: int) -> CylinderPoses:
     """Random cylinders: sizes, xy and yaw uniform; every other one upright, the rest lying.
 
     Args:
         count: How many.
         seed: Of the draw; the first poses of a longer draw are those of a shorter one.
-        distribution: Ranges.
     """
-    d = distribution or PoseDistribution()
+    d = PoseDistribution()
     ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
     unit = np.random.default_rng(seed).random((count, len(ranges)))
     radius, height, x, y, yaw = (ranges[:, 0] + unit * np.ptp(ranges, axis=1)).T

@@ -30,14 +30,10 @@ from rich.console import Console
 from rich.progress import track
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap import (
-    HeatmapConfig,
-    compute_heatmap,
-    compute_heatmaps,
-    steer,
-    steer_many,
-)
 from mjx_grasp.heatmap.backends import backend_for
+from mjx_grasp.heatmap.compute import compute_heatmap, compute_heatmaps
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.steering import steer, steer_many
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import replacing, write_json

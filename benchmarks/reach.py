@@ -34,7 +34,8 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import select, standoffs
+from mjx_grasp.grasp.select import select
+from mjx_grasp.grasp.targets import standoffs
 from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import Planner, start_library

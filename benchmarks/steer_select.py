@@ -26,10 +26,12 @@ from jaxtyping import Array, Float
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry import so3
-from mjx_grasp.grasp import Candidates, HandPose, SelectionConfig, Targets, from_heatmap
-from mjx_grasp.grasp.candidates import vertex_candidates
-from mjx_grasp.grasp.select import select, start_selection
-from mjx_grasp.heatmap import Heatmap, heatmap_of, steer
+from mjx_grasp.grasp.candidates import Candidates, from_heatmap, vertex_candidates
+from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.select import HandPose, select, start_selection
+from mjx_grasp.grasp.targets import Targets
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.steering import Heatmap, steer
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 
 import mjx_grasp
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import cylinder_candidates
-from mjx_grasp.reaching import ReachOutcome
+from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.reaching.controller import ReachOutcome
 
 TICKS = 600  # 6 s at 100 Hz
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING, read, short_revision
+from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.results import ThroughputRow, read_results
+from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
     Column,
     Condition,
@@ -24,17 +24,20 @@ from mjx_grasp.evaluation.tables import (
     force_table,
     paired_table,
     read_groups,
-    throughput_table,
 )
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.table import Table
 
+CITATION = (
+    "*Steerable and Reactive Grasping Through Modular Design with a Three-Point Interface*: "
+    "8 selected objects, 448 episodes per object and condition"
+)
 EXPLANATION = (
     "Success in %, with 95 % intervals in brackets. The intervals treat trials as independent, but "
     "trials share start states: these are kept out of training, and each is used again with "
     "another offset where there are fewer states than trials. Force is the net contact force per "
     "finger from the onset of the lift. The last columns are quoted from "
-    f"{paper.CITATION}."
+    f"{CITATION}."
 )
 PAIRS = (
     "Differences in percentage points, with 95 % bootstrap intervals over trials; then the number "
@@ -48,6 +51,7 @@ LAYERS = (
     "resets, PPO's updates. Then parts of one physics step, of which a tick has five, and the "
     "speed of the whole loop as a share of MuJoCo Warp's:"
 )
+_ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _STEP_PARTS = {
     "step": "step",
     "collision": "step/forward/fwd_position/collision",
@@ -78,13 +82,13 @@ def means(paths: Sequence[Path]) -> str:
             ("publication: policy", f"{paper.MEAN.ours:.1f}", ""),
             ("publication: squeeze 3 N", f"{paper.MEAN.squeeze:.1f}", ""),
         ]
-        quoted = f" The last rows are quoted from {paper.CITATION}."
+        quoted = f" The last rows are quoted from {CITATION}."
     table = Table("Means", ("controller", "lifted and held %", "contact force N"), tuple(rows))
     episodes = " or ".join(map(str, sorted({r.episodes for c in columns for r in c.rows.values()})))
     objects = counted(len(condition.objects), "object")
     return (
         f"{objects} ({condition.meshes}), {episodes} trials each in "
-        f"{condition.short()}:\n\n{table.markdown()}\n\n"
+        f"{condition.short()}:\n\n{markdown(table)}\n\n"
         "Means over the objects. ± is how far the object may be from where the controller believes "
         f"it to be; the force is that of one finger on the object, averaged over the lift.{quoted}"
     )
@@ -98,7 +102,7 @@ def all_conditions(paths: Sequence[Path]) -> str:
     parts = [EXPLANATION]
     parts += ["### Means over the objects", *_means_by_engine(groups)]
     if (pairs := paired_table(groups)).rows:
-        parts += [f"### {pairs.title}", pairs.markdown(), PAIRS]
+        parts += [f"### {pairs.title}", markdown(pairs), PAIRS]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
 
@@ -119,15 +123,15 @@ def _means_by_engine(groups: Groups) -> list[str]:
     for title, lines in blocks.items():
         conditions = tuple(dict.fromkeys(errors for line in lines.values() for errors in line))
         rows = tuple((name, *(line.get(c, "") for c in conditions)) for name, line in lines.items())
-        parts += [f"{title}:", Table(title, ("controller", *conditions), rows).markdown()]
+        parts += [f"{title}:", markdown(Table(title, ("controller", *conditions), rows))]
     return parts
 
 
 def _folded(condition: Condition, columns: Sequence[Column]) -> str:
     success = condition_table(condition, columns)
-    parts = [f"<details><summary>{success.title}</summary>", success.markdown()]
+    parts = [f"<details><summary>{success.title}</summary>", markdown(success)]
     for table in (force_table(condition, columns), failure_table(condition, columns)):
-        parts += [f"{table.title.partition(':')[0]}:", table.markdown()]
+        parts += [f"{table.title.partition(':')[0]}:", markdown(table)]
     return "\n\n".join([*parts, "</details>"])
 
 
@@ -136,12 +140,41 @@ def throughput(paths: Sequence[Path]) -> str:
     if not paths:
         return NOTHING
     files = [read_results(p, ThroughputRow) for p in paths]
-    parts = [throughput_table(files).markdown()]
+    parts = [markdown(throughput_table(files))]
     for file in files:
         apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
         if apart:
-            parts += [LAYERS, _layers(apart).markdown()]
+            parts += [LAYERS, markdown(_layers(apart))]
     return "\n\n".join(parts)
+
+
+def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
+    """Speed and memory against worlds, device by device."""
+    rows = []
+    for file in files:
+        unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
+        for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
+            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
+            rows.append(
+                (
+                    str(file.provenance["device"]),
+                    _loop_name(row),
+                    f"{row.objects}",
+                    f"{row.worlds:,}{ticks}",
+                    f"{row.control_steps_per_s:,.0f}",
+                    "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
+                )
+            )
+    memory = "JAX's memory GiB"
+    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
+    return Table("Speed and memory", header, tuple(rows), names=2)
+
+
+def _loop_name(row: ThroughputRow) -> str:
+    """A loop and the engine that it is around."""
+    if row.loop == "mujoco_warp":
+        return "MuJoCo Warp alone"
+    return f"{row.loop}, {_ENGINES[row.engine]}"
 
 
 def _layers(details: Sequence[dict[str, Any]]) -> Table:
@@ -184,7 +217,7 @@ def runs(paths: Sequence[Path]) -> str:
         *("run", "device", "worlds × unroll", "residual", "critic sees", "objects", "seed"),
         *("M steps", "s", "steps/s", "success %", "force N", "git"),
     )
-    return Table("Training runs", header, lines, names=6).markdown()
+    return markdown(Table("Training runs", header, lines, names=6))
 
 
 def shipped_policy(path: Path) -> str:

@@ -15,13 +15,14 @@ from typing import Any
 import tyro
 from rich.console import Console
 from rich.progress import track
+from scans import has_scan
 from simulation_tables import pieces_table
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.convex import ConvexConfig, single_hull
-from mjx_grasp.objects.model import ObjectModel, has_scan, load_object
+from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings

@@ -20,7 +20,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings
-from mjx_grasp.viz.plots import success_against_force_by_condition
+from mjx_grasp.viz.plots import success_against_force
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -47,14 +47,16 @@ def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
         raise FileError(folder, f"no eight_*.json of {engine}", "evaluations of the eight objects")
     for policy in evaluated_policies(folder, asset_path("policy.npz")):
         if policy.condition in found:
-            found[policy.condition].append(policy.column._replace(label=policy.setting))
+            found[policy.condition].append(
+                policy.column._replace(label=f"policy, {policy.setting}")
+            )
     return {c.short(): columns for c, columns in found.items()}
 
 
 def main(config: FigureConfig) -> None:
     """The command."""
     check_writable("--out", config.out)
-    picture = success_against_force_by_condition(panels(config.results, config.engine))
+    picture = success_against_force(panels(config.results, config.engine))
     with replacing(config.out) as temporary:
         temporary.write_bytes(picture)
 

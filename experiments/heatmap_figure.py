@@ -14,9 +14,10 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import track
+from small_png import write_png
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.sampling import best_triple
 from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
@@ -26,7 +27,7 @@ from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import subject_of
 
 SCHEMA = "mjx_grasp.heatmaps/1"

@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.progress import track
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json

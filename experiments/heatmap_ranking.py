@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap import compute_heatmaps
+from mjx_grasp.heatmap.compute import compute_heatmaps
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json

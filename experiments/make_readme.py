@@ -19,7 +19,7 @@ import reach_tables
 import simulation_tables
 import stage_tables
 import tyro
-from stage_tables import short_revision
+from stage_tables import markdown, short_revision
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
@@ -81,7 +81,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "distances": reach_tables.signed_distances(folder / "signed_distance_scans.json"),
             "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
             "engines": simulation_tables.engines(folder / "engines_cpu.json"),
-            "files": _provenance(sorted(folder.rglob("*.json")), folder).markdown(),
+            "files": markdown(_provenance(sorted(folder.rglob("*.json")), folder)),
         },
     }
 

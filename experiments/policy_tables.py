@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from stage_tables import NOTHING
+from stage_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
@@ -116,7 +116,7 @@ def policies(folder: Path, shipped: Path) -> str:
         *("run", "worlds × unroll", "seed", "condition", "episodes"),
         *("success %", "force N", "squeeze at this force %"),
     )
-    return Table("Policies", header, tuple(lines), names=4).markdown() if lines else NOTHING
+    return markdown(Table("Policies", header, tuple(lines), names=4)) if lines else NOTHING
 
 
 def _setting(run: dict[str, Any]) -> str:

@@ -15,8 +15,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.reach.config import SweepConfig
-from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS
+from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, SweepConfig
 from mjx_grasp.evaluation.reach.run import run_sweep
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.records.atomic import read_json, write_json

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING, read
+from stage_tables import NOTHING, markdown, read
 
 from mjx_grasp.evaluation.reach.results import PAPER_HANDOFF_MM, PAPER_RATE
 from mjx_grasp.evaluation.reach.sweep import BUDGETS
@@ -44,7 +44,7 @@ def reach_rates(path: Path) -> str:
             f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %. The "
             f"sweep took {sum(d['seconds'][k] for k in ('planning', 'reaching')):.0f} s on one "
             f"{d['provenance']['device']}, compilation apart:",
-            rates.markdown(),
+            markdown(rates),
             f"Tip errors at handoff in mm: {errors}.",
             f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
             f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick ("
@@ -102,7 +102,7 @@ def reach_limits(paths: Sequence[Path]) -> str:
         *("arm to itself mm", "infeasible ticks"),
     )
     table = Table("Limits", header, tuple(rows), names=2)
-    return table.markdown() if rows else NOTHING
+    return markdown(table) if rows else NOTHING
 
 
 def reach_ablation(path: Path) -> str:
@@ -110,7 +110,7 @@ def reach_ablation(path: Path) -> str:
     d = read(path)
     if d is None:
         return NOTHING
-    shown = ablation_table(d["rows"]).markdown()
+    shown = markdown(ablation_table(d["rows"]))
     solvable = d["rows"]["default"]["solvable_percent"]["20"]
     made: dict[str, list[str]] = {}
     for name, row in d["rows"].items():
@@ -183,9 +183,9 @@ def reach_speed(paths: Sequence[Path]) -> str:
         *("reaches/s with planning", "converged reaches/s"),
     )
     return (
-        Table("Ticks", header, tuple(ticks), names=2).markdown()
+        markdown(Table("Ticks", header, tuple(ticks), names=2))
         + "\n\nOne robot, one reach after another, until every tip is within 20 mm, for 3 s at "
-        "most:\n\n" + Table("Reaches", others, tuple(reaches), names=2).markdown()
+        "most:\n\n" + markdown(Table("Reaches", others, tuple(reaches), names=2))
     )
 
 
@@ -220,7 +220,7 @@ def qp_speed(path: Path) -> str:
         f"{d['paper']['problems']:,} and {size['problems']:,} problems of {size['variables']} "
         f"variables and {size['half_spaces']} half-spaces, on {d['provenance']['device']}; the "
         "exact answers are qpax's in float64:\n\n"
-        + Table("QP", header, tuple(rows), names=2).markdown()
+        + markdown(Table("QP", header, tuple(rows), names=2))
     )
 
 

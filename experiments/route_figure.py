@@ -24,6 +24,8 @@ from jaxtyping import Array, Bool, Float, Int
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from renderer import check_backend
+from small_png import write_png
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
@@ -34,25 +36,21 @@ from mjx_grasp.evaluation.trials import paired_draws, record_trials
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import DistanceField
-from mjx_grasp.grasp import Candidates, from_heatmap
+from mjx_grasp.grasp.candidates import Candidates, from_heatmap
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.sampling import sample_object_poses
-from mjx_grasp.heatmap import Heatmap, heatmap_of
-from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.steering import Heatmap, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
-from mjx_grasp.reaching import (
-    Planner,
-    Reacher,
-    ReachOutcome,
-    Surroundings,
-    reach_preset,
-    robot_body,
-    start_library,
-)
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.planning import Planner, start_library
+from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, WholeNumber
@@ -62,7 +60,6 @@ from mjx_grasp.tasks.assemble import build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.viz import frames
 from mjx_grasp.viz.camera import TURN_DEG, best_azimuth, look_at
-from mjx_grasp.viz.contact_sheet import write_png
 from mjx_grasp.viz.heatmap import Picture, Subject, draw
 from mjx_grasp.viz.raster import look_from
 
@@ -141,7 +138,7 @@ def main(config: RouteConfig) -> None:
     """Computes, draws and writes."""
     for flag, path in (("--out", config.out), ("--results", config.results)):
         check_writable(flag, path)
-    frames.check_backend()
+    check_backend()
     made = provenance(config.seed)  # before anything is written, so that the revision is not dirty
     robot, model = load_robot(), load_object(config.object, config.objects_dir)
     faces = np.asarray(model.mesh.faces)

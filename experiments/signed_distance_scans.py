@@ -25,6 +25,8 @@ import trimesh
 import tyro
 from rich.console import Console
 from rich.progress import track
+from scans import has_scan
+from stage_tables import markdown
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
@@ -35,7 +37,7 @@ from mjx_grasp.geometry.signed_distance import (
     signed_distance,
 )
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.objects.model import has_scan, object_mesh
+from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed
@@ -209,7 +211,7 @@ def main(config: DistanceConfig) -> None:
             "points_normals": config.count_normals,
             "without_scan": without_scan,
             "rows": rows,
-            "markdown": table(rows).markdown(),
+            "markdown": markdown(table(rows)),
         }
         write_json(config.out, document)
     Console().print(table(rows))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING
+from stage_tables import NOTHING, markdown
 
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
@@ -36,7 +36,7 @@ def convex_pieces(path: Path) -> str:
     if d["without_scan"]:
         names = ", ".join(n.replace("_", " ") for n in d["without_scan"])
         text += f" Without a scan: {names}."
-    return f"{text}\n\n{pieces_table(rows).markdown()}"
+    return f"{text}\n\n{markdown(pieces_table(rows))}"
 
 
 def pieces_table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -87,7 +87,7 @@ def engines(path: Path) -> str:
     return (
         f"On {d['provenance']['device']}, with {objects}, {d['substeps']} physics steps per "
         "control step; compiling holds one run, slowest and fastest are of the "
-        f"{d['settings']['repeats']} timed:\n\n{Table('Engines', header, tuple(rows)).markdown()}"
+        f"{d['settings']['repeats']} timed:\n\n{markdown(Table('Engines', header, tuple(rows)))}"
     )
 
 

@@ -16,6 +16,16 @@ HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
 NOTHING = "_No results file yet._"
 
 
+def markdown(table: Table) -> str:
+    """A table without its title, as Markdown."""
+    first = len(table.rows) - table.summary
+    rule = ["---"] * table.names + ["---:"] * (len(table.header) - table.names)
+    lines = [table.header, tuple(rule)]
+    for i, row in enumerate(table.rows):
+        lines.append(row if i < first else tuple(f"**{c}**" if c else "" for c in row))
+    return "\n".join(f"| {' | '.join(c.replace('|', '/') for c in cells)} |" for cells in lines)
+
+
 def read(path: Path) -> dict[str, Any] | None:
     """A results file; None where there is none."""
     return read_json(path, "a results file") if path.exists() else None
@@ -42,7 +52,7 @@ def heatmap_speed(paths: Sequence[Path]) -> str:
         )
     header = ("device", "one scan ms", "28 scans ms", "steering ms", "1,000 anchors ms")
     table = Table("Heatmap", (*header, "against trimesh + embree"), tuple(rows))
-    return table.markdown() if rows else NOTHING
+    return markdown(table) if rows else NOTHING
 
 
 def heatmap_oracle(path: Path) -> str:
@@ -61,7 +71,7 @@ def heatmap_oracle(path: Path) -> str:
         for backend, s in d["summary"].items()
     )
     header = ("backend", "vertices", f"agree to {d['score_tolerance']:g}", "worst scan %", "others")
-    return Table("Oracle", header, rows).markdown()
+    return markdown(Table("Oracle", header, rows))
 
 
 def heatmap_ranking(path: Path) -> str:
@@ -80,7 +90,7 @@ def heatmap_ranking(path: Path) -> str:
         f"share above {d['good_score']:g}",
     )
     last = ", ".join(name.replace("_", " ") for name in seen["last_four"])
-    return f"{Table('Ranking', header, rows).markdown()}\n\nThe last four: {last}."
+    return f"{markdown(Table('Ranking', header, rows))}\n\nThe last four: {last}."
 
 
 def steering(path: Path) -> str:
@@ -100,7 +110,7 @@ def steering(path: Path) -> str:
         (*key, *(f"{part[label]:.0f}" if label in part else "" for label in labels))
         for key, part in found.items()
     )
-    return Table("Steering", ("object", "instruction", *labels), rows, names=2).markdown()
+    return markdown(Table("Steering", ("object", "instruction", *labels), rows, names=2))
 
 
 def route(path: Path) -> str:
@@ -177,4 +187,4 @@ def tests(path: Path) -> str:
         for r in d["rows"]
     )
     header = ("Python", "JAX", "device", "passed", "failed", "skipped", "tests min", "setup min")
-    return Table("Tests", (*header, "git"), rows, names=3).markdown()
+    return markdown(Table("Tests", (*header, "git"), rows, names=3))

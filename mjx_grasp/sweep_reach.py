@@ -14,16 +14,18 @@ def main() -> None:
         import tyro
         from rich.console import Console
 
-        from mjx_grasp.evaluation.reach.config import SweepConfig
-        from mjx_grasp.viz.sweep import check_outputs, write_outputs
+        from mjx_grasp.evaluation.reach.poses import SweepConfig
+        from mjx_grasp.records.atomic import check_writable
 
         config = tyro.cli(SweepConfig, description=__doc__)
-        check_outputs(config)
-        # They import MuJoCo, which fails where MUJOCO_GL names a backend that is missing.
+        for flag, path in (("--out", config.out), ("--plot", config.plot)):
+            if path is not None:
+                check_writable(flag, path)
         from mjx_grasp.evaluation.reach.results import failure_line, rate_table, residual_table
         from mjx_grasp.evaluation.reach.run import run_sweep
         from mjx_grasp.reaching.presets import for_sweep, reach_preset
         from mjx_grasp.robot.spec import load_robot
+        from mjx_grasp.viz.reach import write_outputs
 
     console = Console()
     settings, robot = for_sweep(reach_preset(config.preset)), load_robot(config.robot)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -25,7 +26,8 @@ def script(name, folder="experiments"):
     return module
 
 
-def test_the_sheet_of_heatmaps(tmp_path):
+def test_the_sheet_of_heatmaps(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
     figure = script("heatmap_figure")
     out, results = tmp_path / "sheet.png", tmp_path / "sheet.json"
     figure.main(figure.FigureConfig(objects=("gelatin_box",), out=out, results=results))
@@ -35,6 +37,7 @@ def test_the_sheet_of_heatmaps(tmp_path):
 
 
 def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
     figure = script("steering_figure")
     monkeypatch.setattr(figure, "CASES", (("sugar_box", "the top"),))
     out, results = tmp_path / "steering.png", tmp_path / "steering.json"
@@ -164,3 +167,20 @@ def test_a_suite_that_failed_keeps_its_row_too(tmp_path, monkeypatch):
     assert "| 3.12.1 | 1.0 | a card | 1 | 2 | 1 | 10.5 | 1.0 | 0123456789ab |" in table
     with pytest.raises(FileError, match=r"none\.xml"):
         timing.counts(tmp_path / "none.xml")
+
+
+def test_a_png_is_reduced_to_the_size_asked_for_or_refused(tmp_path):
+    write_png = script("small_png").write_png
+    noise = np.asarray(jax.random.randint(jax.random.key(0), (90, 90, 3), 0, 256), np.uint8)
+    sheet = Image.fromarray(noise)
+    write_png(tmp_path / "all.png", sheet, 1_000_000)
+    full = (tmp_path / "all.png").stat().st_size
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "all.png")), noise)
+    write_png(tmp_path / "less.png", sheet, 3 * full // 4)
+    assert (tmp_path / "less.png").stat().st_size <= 3 * full // 4
+    less = np.asarray(Image.open(tmp_path / "less.png"))
+    assert 0 < np.abs(less.astype(int) - noise).max() <= 4
+    assert np.all(less[noise == 255] == 255)
+    with pytest.raises(InputError, match="max_bytes"):
+        write_png(tmp_path / "none.png", sheet, 200)
+    assert not (tmp_path / "none.png").exists()

@@ -11,9 +11,9 @@ import trimesh
 from PIL import Image
 from typed import refusal
 
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import load_heatmap
-from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.steering import steer_near
 
 COARSE = ("--edge", "0.04")
 

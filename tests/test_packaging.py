@@ -72,7 +72,8 @@ def test_the_wheel_carries_every_module_and_every_asset(wheel):
         if p.is_file()
     }
     assert assets, "nothing ships"
-    assert (modules | assets.keys() | {"mjx_grasp/py.typed"}) <= sizes.keys()
+    others = {"py.typed", "__init__.pyi", "geometry/face_blocks_search.cpp"}
+    assert modules | assets.keys() | {f"mjx_grasp/{name}" for name in others} <= sizes.keys()
     assert {name: sizes[name] for name in assets} == assets
     assert not [n for n in sizes if n.startswith(("tests/", "experiments/"))]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import subprocess
 import sys
@@ -12,23 +11,10 @@ import pytest
 
 import mjx_grasp
 
-SOURCE = Path(mjx_grasp.__file__).read_text()
-
 
 @pytest.mark.parametrize("name", mjx_grasp.__all__)
 def test_public_name_exists(name: str) -> None:
     assert getattr(mjx_grasp, name) is not None
-
-
-def test_type_checkers_see_what_is_loaded() -> None:
-    """The imports under TYPE_CHECKING are the table of names, no more and no less."""
-    (block,) = (n for n in ast.parse(SOURCE).body if isinstance(n, ast.If))
-    seen = {
-        alias.asname: f"mjx_grasp.{statement.module.removeprefix('mjx_grasp.')}"
-        for statement in block.body
-        for alias in statement.names
-    }
-    assert seen == {name: f"mjx_grasp.{module}" for name, module in mjx_grasp._PUBLIC.items()}
 
 
 def test_editors_are_told_the_names() -> None:

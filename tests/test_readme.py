@@ -10,9 +10,9 @@ import pytest
 from test_imports import ORDER
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.results import ResultRow, ThroughputRow, write_results
+from mjx_grasp.evaluation.results import ResultRow, Results, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.reaching import ReachOutcome
+from mjx_grasp.reaching.controller import ReachOutcome
 from mjx_grasp.robot.identity import FIRST_ROBOT
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -172,6 +172,13 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "from 5 of these handoffs" in detail
     assert "rose from 862 to 1134" in detail
     assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
+
+
+def test_throughput_is_sorted_by_worlds():
+    rows = tuple(ThroughputRow("ppo", "mjx", w, 24, 30.0 * w, 1.5) for w in (8192, 1024))
+    table = make_readme.closing_tables.throughput_table([Results(rows, PROVENANCE, {})])
+    assert [r[3:] for r in table.rows] == [("1,024", "30,720", "1.5"), ("8,192", "245,760", "1.5")]
+    assert {r[0] for r in table.rows} == {"a card"}
 
 
 def test_policies_stand_beside_the_squeeze_of_the_same_force(root):

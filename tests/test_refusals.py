@@ -15,7 +15,7 @@ from typed import refusal
 from mjx_grasp.assets import asset_path
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.reach import run as sweeping
-from mjx_grasp.evaluation.reach.config import SweepConfig
+from mjx_grasp.evaluation.reach.poses import SweepConfig
 from mjx_grasp.handoff import make as making
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.records.settings import _hints, to_record

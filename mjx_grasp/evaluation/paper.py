@@ -4,11 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-CITATION = (
-    "*Steerable and Reactive Grasping Through Modular Design with a Three-Point Interface*: "
-    "8 selected objects, 448 episodes per object and condition"
-)
-
 
 class PaperRow(NamedTuple):
     """Figures of one object."""

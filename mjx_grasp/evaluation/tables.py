@@ -15,7 +15,6 @@ from mjx_grasp.evaluation.results import (
     OUTCOMES,
     ResultRow,
     Results,
-    ThroughputRow,
     mean_success,
     read_results,
 )
@@ -108,14 +107,11 @@ def read_groups(paths: Iterable[str | Path]) -> Groups:
     return dict(sorted(groups.items(), key=lambda item: _condition_order(item[0])))
 
 
-def success_table(
-    rows: Sequence[ResultRow], with_paper: bool = True, *, scans: bool | None = None
-) -> Table:
+def success_table(rows: Sequence[ResultRow], *, scans: bool | None = None) -> Table:
     """The table of `condition_table` from the rows of one run.
 
     Args:
         rows: Of one condition.
-        with_paper: Whether the publication's figures stand beside them.
         scans: Whether the objects are real scans; the title does not say if None.
 
     Raises:
@@ -128,21 +124,20 @@ def success_table(
     if len(groups) != 1:
         raise InputError("rows", f"{len(groups)} conditions", "rows of one condition")
     ((condition, columns),) = groups.items()
-    return condition_table(condition, sorted(columns, key=_column_order), with_paper)
+    return condition_table(condition, sorted(columns, key=_column_order))
 
 
-def condition_table(
-    condition: Condition, columns: Sequence[Column], with_paper: bool = True
-) -> Table:
+def condition_table(condition: Condition, columns: Sequence[Column]) -> Table:
     """Success per object with 95 % intervals, one column per controller; means and forces below.
+
+    The publication's figures stand beside them, where it has any.
 
     Args:
         condition: What the columns share.
         columns: The controllers.
-        with_paper: Whether the publication's figures stand beside them, where it has any.
     """
     names = _object_order(condition.objects)
-    with_paper = with_paper and bool(condition.objects & paper.OBJECTS.keys())
+    with_paper = bool(condition.objects & paper.OBJECTS.keys())
     header = ["object", *(c.label for c in columns)]
     if with_paper:
         header += ["paper: policy", "paper: squeeze 3 N"]
@@ -222,35 +217,6 @@ def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
         of_paper = [f"{paper.FAILURES[who][name]:.1f}" for who in ("ours", "squeeze")]
         rows.append((name.replace("_", " "), *cells, *of_paper))
     return Table(f"Failures: {_title_of(condition, columns)}", header, tuple(rows))
-
-
-def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
-    """Speed and memory against worlds, device by device."""
-    rows = []
-    for file in files:
-        unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
-        for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
-            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
-            rows.append(
-                (
-                    str(file.provenance["device"]),
-                    _loop_name(row),
-                    f"{row.objects}",
-                    f"{row.worlds:,}{ticks}",
-                    f"{row.control_steps_per_s:,.0f}",
-                    "" if row.memory_gib is None else f"{row.memory_gib:.1f}",
-                )
-            )
-    memory = "JAX's memory GiB"
-    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
-    return Table("Speed and memory", header, tuple(rows), names=2)
-
-
-def _loop_name(row: ThroughputRow) -> str:
-    """A loop and the engine that it is around."""
-    if row.loop == "mujoco_warp":
-        return "MuJoCo Warp alone"
-    return f"{row.loop}, {_ENGINES.get(row.engine, row.engine)}"
 
 
 def _meshes_of(results: Results) -> str:

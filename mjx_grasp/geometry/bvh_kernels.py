@@ -11,6 +11,8 @@ import warp as wp
 
 from mjx_grasp.geometry.curvature import SAME_DISTANCE, SQUARE
 
+Moments = wp.types.vector(length=6, dtype=wp.float64)
+
 
 @wp.kernel
 def farthest(
@@ -82,15 +84,34 @@ def alike(
 
 
 @wp.func
-def spread_of(area: wp.float64, first: wp.vec2d, second: wp.vec3d):
+def moments(
+    j: int,
+    t1: wp.vec3,
+    t2: wp.vec3,
+    face_normals: wp.array(dtype=wp.vec3),
+    areas: wp.array(dtype=float),
+):
+    """A face's area and moments of its normal: 1, x, y, xx, xy, yy along the tangents.
+
+    In double precision, so that large moments may be subtracted.
+    """
+    a = wp.float64(areas[j])
+    x = wp.float64(wp.dot(face_normals[j], t1))
+    y = wp.float64(wp.dot(face_normals[j], t2))
+    return Moments(a, a * x, a * y, a * x * x, a * x * y, a * y * y)
+
+
+@wp.func
+def spread_of(sums: Moments):
     """Second moments of the normals about their mean, over the area, from the sums."""
     spread = wp.vec3()
+    area = sums[0]
     if area > wp.float64(0.0):
-        x = first[0] / area
-        y = first[1] / area
-        xx = second[0] / area - x * x
-        xy = second[1] / area - x * y
-        yy = second[2] / area - y * y
+        x = sums[1] / area
+        y = sums[2] / area
+        xx = sums[3] / area - x * x
+        xy = sums[4] / area - x * y
+        yy = sums[5] / area - y * y
         spread = wp.vec3(float(xx), float(xy), float(yy))
     return spread
 
@@ -121,32 +142,18 @@ def spread(
     t2 = tangents_2[i]
     slack = 1.0 + wp.static(SAME_DISTANCE)
     reach = slack * radius * radius
-    # In double precision, so that large moments may be subtracted.
     count = int(0)
-    area = wp.float64(0.0)
-    sx = wp.float64(0.0)
-    sy = wp.float64(0.0)
-    sxx = wp.float64(0.0)
-    sxy = wp.float64(0.0)
-    syy = wp.float64(0.0)
+    sums = Moments()
     j = int(0)
     query = wp.hash_grid_query(grids[o], point, slack * radius)
     while wp.hash_grid_query_next(query, j):
         f = offset + j
         # Most are too far: the rest is read for the others alone.
         if wp.length_sq(centroids[f] - point) <= reach and alike(f, normal, face_normals, areas):
-            a = wp.float64(areas[f])
-            x = wp.float64(wp.dot(face_normals[f], t1))
-            y = wp.float64(wp.dot(face_normals[f], t2))
             count += 1
-            area += a
-            sx += a * x
-            sy += a * y
-            sxx += a * x * x
-            sxy += a * x * y
-            syy += a * y * y
+            sums += moments(f, t1, t2, face_normals, areas)
     counts[i] = count
-    out[i] = spread_of(area, wp.vec2d(sx, sy), wp.vec3d(sxx, sxy, syy))
+    out[i] = spread_of(sums)
 
 
 @wp.func
@@ -231,25 +238,11 @@ def wider_spread(
         radius, 2.0 * diagonal[o] + wp.length(point),
     )  # fmt: skip
     reach = slack * wp.max(radius * radius, wider)
-    # In double precision, so that large moments may be subtracted.
-    area = wp.float64(0.0)
-    sx = wp.float64(0.0)
-    sy = wp.float64(0.0)
-    sxx = wp.float64(0.0)
-    sxy = wp.float64(0.0)
-    syy = wp.float64(0.0)
+    sums = Moments()
     j = int(0)
     query = wp.bvh_query_sphere(trees[o], point, slack * wp.sqrt(reach))
     while wp.bvh_query_next(query, j):
         f = offset + j
         if wp.length_sq(centroids[f] - point) <= reach and alike(f, normal, face_normals, areas):
-            a = wp.float64(areas[f])
-            x = wp.float64(wp.dot(face_normals[f], t1))
-            y = wp.float64(wp.dot(face_normals[f], t2))
-            area += a
-            sx += a * x
-            sy += a * y
-            sxx += a * x * x
-            sxy += a * x * y
-            syy += a * y * y
-    out[i] = spread_of(area, wp.vec2d(sx, sy), wp.vec3d(sxx, sxy, syy))
+            sums += moments(f, t1, t2, face_normals, areas)
+    out[i] = spread_of(sums)

@@ -29,18 +29,6 @@ class Sphere(NamedTuple):
     radius: Float[Array, ""]
 
 
-class Capsule(NamedTuple):
-    """All points within a radius of a piece of the z axis.
-
-    Attributes:
-        radius: In [m].
-        half_length: From the origin to either end of the axis, [m].
-    """
-
-    radius: Float[Array, ""]
-    half_length: Float[Array, ""]
-
-
 class Cylinder(NamedTuple):
     """A solid cylinder about the z axis.
 
@@ -81,7 +69,7 @@ class DistanceField(NamedTuple):
     spacing: Float[Array, ""]
 
 
-Shape = Sphere | Capsule | Cylinder | Box | DistanceField
+Shape = Sphere | Cylinder | Box | DistanceField
 
 
 def signed_distance(shape: Shape, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -101,10 +89,6 @@ def distance_and_normal(
     match shape:
         case Sphere():
             return _to_point(points, shape.radius)
-        case Capsule():
-            z = jnp.clip(points[..., 2], -shape.half_length, shape.half_length)
-            axis = jnp.asarray([0.0, 0.0, 1.0], points.dtype)
-            return _to_point(points - z[..., None] * axis, shape.radius)
         case Cylinder():
             return _to_cylinder(points, shape)
         case Box():

@@ -17,7 +17,10 @@ _SMALL = 1e-4
 _OPPOSITE = 1e-6
 
 
-def _product(a: Float[Array, "*batch 3 3"], b: Float[Array, "*batch 3 3"]) -> Array:
+def product(
+    a: Float[Array, "*#batch 3 3"], b: Float[Array, "*#batch 3 3"]
+) -> Float[Array, "*batch 3 3"]:
+    """``a b`` of matrices, written out: a reduction would end the fusion with what comes before."""
     x, y, z = (a[..., :, k, None] * b[..., None, k, :] for k in range(3))
     return x + y + z
 
@@ -45,11 +48,6 @@ def quat_mul(
         ],
         axis=-1,
     )
-
-
-def quat_conj(q: Float[Array, "*batch 4"]) -> Float[Array, "*batch 4"]:
-    """The inverse of a unit quaternion."""
-    return q * jnp.asarray([1.0, -1.0, -1.0, -1.0], q.dtype)
 
 
 def quat_rotate(
@@ -121,7 +119,7 @@ def exp(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     second = jnp.where(small, 0.5 - squared / 24 + squared**2 / 720, 0.5 * half * half)
     hat = _hat(w)
     identity = jnp.eye(3, dtype=w.dtype)
-    return identity + first[..., None, None] * hat + second[..., None, None] * _product(hat, hat)
+    return identity + first[..., None, None] * hat + second[..., None, None] * product(hat, hat)
 
 
 def log(R: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
@@ -159,7 +157,7 @@ def align_vectors(
     first = jnp.where(obtuse[..., None], half_turn, identity)
     cosine = jnp.sum(start * b, axis=-1)[..., None, None]
     hat = _hat(jnp.cross(start, b))
-    return _product(identity + hat + _product(hat, hat) / (1.0 + cosine), first)
+    return product(identity + hat + product(hat, hat) / (1.0 + cosine), first)
 
 
 def _common_normal(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Array:

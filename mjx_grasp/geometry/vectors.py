@@ -32,6 +32,22 @@ def unit(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     return jnp.where(largest > 0, scaled / jnp.where(length > 0, length, 1.0), 0.0)
 
 
+def turned(
+    R: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]
+) -> Float[Array, "*batch 3"]:
+    """``R v``: vectors of a frame, given by its rotation, in that which it is rotated in."""
+    x, y, z = (R[..., k] * v[..., k, None] for k in range(3))
+    return x + y + z
+
+
+def turned_back(
+    R: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]
+) -> Float[Array, "*batch 3"]:
+    """``Rᵀ v``: the way back of :func:`turned`."""
+    x, y, z = (R[..., k, :] * v[..., k, None] for k in range(3))
+    return x + y + z
+
+
 def angle_between(
     a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]
 ) -> Float[Array, "*batch"]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry.vectors import angle_between, dot, norm
+from mjx_grasp.geometry.vectors import angle_between, dot, norm, turned, turned_back
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import NONE, Targets, admissible, latched_options, three_points
@@ -52,7 +52,7 @@ def start_selection(
     return SelectionState(
         candidate=jnp.int32(NONE),
         spread=jnp.zeros(3),
-        reach=jnp.abs(_turned_back(R_wo, hand.approach)),
+        reach=jnp.abs(turned_back(R_wo, hand.approach)),
         bias=jnp.zeros(candidates.score.shape[0]),
     )
 
@@ -78,8 +78,8 @@ def select(
         R_wo: Object rotation.
         config: Weights and thresholds.
     """
-    tips = _turned_back(R_wo, hand.tips - p_wo)
-    opposing = _turned_back(R_wo, hand.opposing)
+    tips = turned_back(R_wo, hand.tips - p_wo)
+    opposing = turned_back(R_wo, hand.opposing)
     options = latched_options(candidates, state.reach, config.targets)
     allowed = admissible(candidates, options, p_wo, R_wo, config.targets)
     allowed &= candidates.score >= config.min_score
@@ -98,8 +98,8 @@ def select(
     targets = Targets(
         valid=valid,
         candidate=jnp.where(valid, index, NONE),
-        position=p_wo + _turned(R_wo, local),
-        normal=_turned(R_wo, options.normal[index]),
+        position=p_wo + turned(R_wo, local),
+        normal=turned(R_wo, options.normal[index]),
         cost=cost[index],
     )
     new_state = state._replace(
@@ -140,11 +140,3 @@ def _ordered(
     # Kept as it ran; the first choice has nothing to keep.
     threshold = jnp.where(follows > 0, swap_angle, jnp.where(follows < 0, -swap_angle, 0.0))
     return jnp.where(gain > threshold, -along, along)
-
-
-def _turned(R: Float[Array, "3 3"], vec: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    return vec[..., :1] * R[:, 0] + vec[..., 1:2] * R[:, 1] + vec[..., 2:] * R[:, 2]
-
-
-def _turned_back(R: Float[Array, "3 3"], vec: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    return vec[..., :1] * R[0] + vec[..., 1:2] * R[1] + vec[..., 2:] * R[2]

@@ -25,7 +25,7 @@ from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
-from mjx_grasp.heatmap import heatmap_of
+from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library

@@ -79,22 +79,9 @@ class Thumbs(NamedTuple):
     """which mesh each belongs to"""
 
 
-class HeatmapRows(NamedTuple):
-    """What is found for n thumbs; as in :class:`..steering.Heatmap`, which has a score."""
-
-    normals: Float[Any, "n 3"]
-    score_without_com: Float[Any, " n"]
-    thumb: Float[Any, "n 3"]
-    opposing: Float[Any, "n 3"]
-    long_axis: Float[Any, "n 3"]
-    offset: Float[Any, " n"]
-    wrap: Float[Any, "n 2 3"]
-    wrap_normals: Float[Any, "n 2 3"]
-    centre: Float[Any, "n 3"]
-    axis: Float[Any, "n 3"]
-    width: Float[Any, " n"]
-    valid: Bool[Any, " n"]
-    terms: dict[str, Float[Any, " n"]]
+HeatmapRows = dict[str, Any]
+"""What is found for n thumbs: by name the fields of a :class:`..steering.Heatmap` but its vertices,
+which are the thumbs, and its score."""
 
 
 def opposing_contacts(
@@ -192,7 +179,7 @@ def best_candidates(
     rows = jnp.arange(vertices.shape[0])
     kept = valid[best, rows]
     origin = surfaces.origin[owner]
-    return HeatmapRows(
+    return dict(
         normals=jnp.where(has_normal[:, None], normals, jnp.asarray(_UP, normals.dtype)),
         score_without_com=without_com[best, rows],
         thumb=vertices + origin,

@@ -108,8 +108,9 @@ def compute_heatmaps(
     for group in _groups([m.size for m in centred], config):
         work = _started([centred[i] for i in group], [coms[i] for i in group], hand, config)
         for i, found, com in zip(group, *work, strict=True):
-            score = weigh(found.score_without_com, found.thumb, found.axis, _f32(com), sigma)
-            heatmaps[i] = Heatmap(vertices=found.thumb, score=score, **found._asdict())
+            thumb, axis = found["thumb"], found["axis"]
+            score = weigh(found["score_without_com"], thumb, axis, _f32(com), sigma)
+            heatmaps[i] = Heatmap(vertices=thumb, score=score, **found)
     return [heatmaps[i] for i in range(len(meshes))]
 
 

@@ -28,7 +28,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+import trimesh
+from jaxtyping import Int
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.heatmap.colours import score_colours
@@ -45,7 +46,6 @@ from mjx_grasp.records.archive import (
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.settings import Finite, NonNegative, Positive, Settings
 
-FORMAT = "mjx_grasp heatmap"
 TERMS = ("width", "thumb", "wrap", "coherence", "com", "separation")
 
 _ARRAYS = {
@@ -121,53 +121,29 @@ def load_heatmap(path: str | Path) -> StoredHeatmap:
     return StoredHeatmap(heatmap, arrays["faces"], info)
 
 
-def write_ply(
-    path: str | Path,
-    heatmap: Heatmap,
-    faces: Int[np.ndarray, "f 3"],
-    score: Float[np.ndarray, " v"] | None = None,
-    top: float = 1.0,
-) -> None:
+def write_ply(path: str | Path, heatmap: Heatmap, faces: Int[np.ndarray, "f 3"]) -> None:
     """Writes the mesh coloured by its scores as a binary PLY, all or nothing.
 
-    Per vertex: position [m], normal, colour (purple 0 to yellow ``top``, grey without a candidate),
+    Per vertex: position [m], normal, colour (purple 0 to yellow 1, grey without a candidate),
     and the score itself as ``quality``, which mesh viewers can colour by anew.
 
     Args:
         path: The file.
         heatmap: Candidates, one per vertex.
         faces: Vertex indices.
-        score: Other scores than the heatmap's own, for example steered ones.
-        top: The score that gets the yellow end of the scale.
     """
-    score = np.asarray(heatmap.score if score is None else score, np.float32)
+    score = np.asarray(heatmap.score, np.float32)
     shown = np.where(np.asarray(heatmap.valid), score, np.nan)
-    lengths = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
-    colours = [(name, "u1") for name in ("red", "green", "blue")]
-    rows = np.empty(len(score), np.dtype([*lengths, *colours, ("quality", "<f4")]))
-    columns = np.concatenate([np.asarray(heatmap.vertices), np.asarray(heatmap.normals)], axis=1)
-    for (name, _), column in zip(lengths, columns.T, strict=True):
-        rows[name] = column
-    for (name, _), column in zip(colours, score_colours(shown, top).T, strict=True):
-        rows[name] = column
-    rows["quality"] = score
-    corners = np.empty(len(faces), np.dtype([("count", "u1"), ("index", "<i4", 3)]))
-    corners["count"], corners["index"] = 3, faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {FORMAT}, metres",
-        f"element vertex {len(rows)}",
-        *(f"property float {name}" for name, _ in lengths),
-        *(f"property uchar {name}" for name, _ in colours),
-        "property float quality",
-        f"element face {len(corners)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        file.write(rows.tobytes() + corners.tobytes())
+    mesh = trimesh.Trimesh(
+        np.asarray(heatmap.vertices),
+        faces,
+        process=False,
+        vertex_normals=np.asarray(heatmap.normals),
+        vertex_colors=score_colours(shown),
+        vertex_attributes={"quality": score},
+    )
+    with replacing(path) as temporary:
+        mesh.export(temporary, "ply", vertex_normal=True)
 
 
 def _check(path: Path, info: HeatmapInfo, arrays: Arrays) -> None:
@@ -190,7 +166,7 @@ def _from_version_1(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
 
 
 _KIND = ArchiveKind(
-    format=FORMAT,
+    format="mjx_grasp heatmap",
     version=2,
     header=HeatmapInfo,
     arrays=_ARRAYS | _TERMS | {"faces": "int32 f 3"},

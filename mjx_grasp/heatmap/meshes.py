@@ -17,7 +17,7 @@ from mjx_grasp.geometry.mesh import principal_frame
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
-from mjx_grasp.heatmap.nearness import steer_to
+from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.meshes import read_mesh
 from mjx_grasp.objects.refine import refined
 from mjx_grasp.records.settings import CommandSettings, Finite, NonNegative, Positive, Several
@@ -64,7 +64,7 @@ class MeshConfig(CommandSettings):
         Raises:
             FileError: It cannot be used.
         """
-        return refined(read_mesh(path)[0], self.edge)
+        return refined(read_mesh(path), self.edge)
 
 
 def heatmap_of_mesh(

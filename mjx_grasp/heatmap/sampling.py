@@ -66,7 +66,7 @@ def sample_triples(
         key: Source of randomness; at temperature 0 it does not matter.
         heatmap: Candidates.
         count: How many triples.
-        score: Scores to draw by, for example of :func:`~mjx_grasp.heatmap.steer`; the heatmap's
+        score: Scores to draw by, for example of :func:`~.steering.steer`; the heatmap's
             own if None.
         temperature: In units of the score; 0 takes the best candidate that is left every time.
         top_k: Draws from this many best candidates only; from all if None.

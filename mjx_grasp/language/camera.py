@@ -8,7 +8,6 @@ x right, y down, z forward; depth is measured along z, not along the ray.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -39,36 +38,6 @@ class PinholeCamera:
         rotation = np.asarray(self.R_wc)
         if rotation.shape != (3, 3) or not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-5):
             raise InputError("R_wc", rotation, "a rotation matrix [3, 3]")
-
-    @classmethod
-    def from_fovy(
-        cls,
-        width: int,
-        height: int,
-        fovy: float,
-        R_wc: Float[np.ndarray, "3 3"],
-        p_wc: Float[np.ndarray, " 3"],
-    ) -> PinholeCamera:
-        """A camera with square pixels and a vertical field of view [rad], centred."""
-        focal = 0.5 * height / np.tan(0.5 * fovy)
-        return cls(width, height, focal, focal, 0.5 * width, 0.5 * height, R_wc, p_wc)
-
-    @classmethod
-    def from_mujoco(
-        cls, model: Any, data: Any, name: str, width: int, height: int
-    ) -> PinholeCamera:
-        """A camera of a MuJoCo model that was given by its field of view.
-
-        MuJoCo's camera looks along its −z with y up; here it looks along z with y down. The depth
-        that its renderer gives with depth rendering enabled is metric and along the optical axis,
-        which is what this class expects.
-        """
-        camera = data.cam(name)
-        fovy = np.radians(model.cam(name).fovy[0])
-        flip = np.diag([1.0, -1.0, -1.0])
-        return cls.from_fovy(
-            width, height, float(fovy), camera.xmat.reshape(3, 3) @ flip, np.array(camera.xpos)
-        )
 
     def contains(self, pixel: Float[np.ndarray, " 2"]) -> bool:
         """Whether a pixel coordinate lies in the picture, its right and bottom edge included."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +21,7 @@ _MAX_DROPPED = 0.02  # share of the faces that may go because their edges have m
 _ROUNDS = 4  # removing bad faces opens holes, filling them can pinch an edge
 
 
-@dataclass(frozen=True)
-class MeshReport:
-    """What was done to a mesh when it was read."""
-
-    merged_vertices: int
-    dropped_faces: int  # degenerate, duplicate or around edges with more than two faces
-    flipped_faces: int
-    filled_holes: int
-    components: int
-    volume: float  # m^3
-
-
-def read_mesh(path: str | Path) -> tuple[trimesh.Trimesh, MeshReport]:
+def read_mesh(path: str | Path) -> trimesh.Trimesh:
     """Reads a mesh in metres and repairs it to a closed surface with outward winding.
 
     Args:
@@ -62,7 +49,7 @@ def read_mesh(path: str | Path) -> tuple[trimesh.Trimesh, MeshReport]:
 
 def repair(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], path: str | Path
-) -> tuple[trimesh.Trimesh, MeshReport]:
+) -> trimesh.Trimesh:
     """Makes a closed, outward-wound mesh of raw triangles, or refuses.
 
     Steps: merge equal vertices; drop degenerate and duplicate faces and those around edges with
@@ -81,18 +68,14 @@ def repair(
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices()
     mesh.remove_unreferenced_vertices()
-    merged = len(np.unique(faces)) - len(mesh.vertices)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    start, dropped, filled, flipped = len(faces), 0, 0, 0
+    start = len(faces)
     faces = _without_degenerate(vertices, faces)
-    dropped += start - len(faces)
+    dropped = start - len(faces)
     for _ in range(_ROUNDS):
         kept = _without_crowded_edges(faces)
         dropped += len(faces) - len(kept)
-        agreeing, turned = _consistent(kept)
-        flipped += turned
-        vertices, faces, holes = _fill_holes(vertices, agreeing)
-        filled += holes
+        vertices, faces = _fill_holes(vertices, _consistent(kept))
         if _is_manifold(faces):
             break
     if dropped > _MAX_DROPPED * start + 8 or not _is_manifold(faces):
@@ -103,15 +86,11 @@ def repair(
             f"{int((counts > 2).sum())} edges with more than two faces, {dropped} faces dropped)",
             "a closed surface, or one with small holes",
         )
-    faces, turned = _outward(vertices, faces)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh = trimesh.Trimesh(vertices, _outward(vertices, faces), process=False)
     mesh.remove_unreferenced_vertices()
-    components = _components(np.asarray(mesh.faces))[0]
     if mesh.volume <= 0.0:
         raise FileError(path, f"an enclosed volume of {mesh.volume:.3g} m^3", "a positive volume")
-    return mesh, MeshReport(
-        merged, dropped, flipped + turned, filled, components, float(mesh.volume)
-    )
+    return mesh
 
 
 def centred(mesh: trimesh.Trimesh, scale: float = 1.0) -> trimesh.Trimesh:
@@ -216,11 +195,11 @@ def _components(faces: np.ndarray) -> tuple[int, np.ndarray]:
     return connected_components(graph, directed=False)
 
 
-def _consistent(faces: np.ndarray) -> tuple[np.ndarray, int]:
+def _consistent(faces: np.ndarray) -> np.ndarray:
     """Turns faces so that neighbours agree, walking outwards from one face per component."""
     pairs, agree = _neighbours(faces)
     if agree.all():
-        return faces, 0
+        return faces
     shape = (len(faces), len(faces))
     # Two faces can share two edges: the sums stay nonzero, so that the graph keeps the pair.
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=shape).tocsr()
@@ -234,18 +213,17 @@ def _consistent(faces: np.ndarray) -> tuple[np.ndarray, int]:
         for face in order[1:]:
             orientation[face] = orientation[parent[face]] * np.sign(sign[face, parent[face]] or 1.0)
     flip = orientation < 0
-    # The smaller number of turned faces is the one that the report should name.
+    # Most faces of a component stay as they are.
     for component in range(count):
         members = label == component
         if flip[members].mean() > 0.5:
             flip[members] = ~flip[members]
-    return np.where(flip[:, None], faces[:, ::-1], faces), int(flip.sum())
+    return np.where(flip[:, None], faces[:, ::-1], faces)
 
 
-def _outward(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
+def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Turns closed components of negative volume, except the walls of cavities."""
     count, label = _components(faces)
-    turned = 0
     faces = faces.copy()
     for component in range(count):
         members = label == component
@@ -257,11 +235,10 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
         if count > 1 and inside(others, point)[0]:
             continue
         faces[members] = faces[members][:, ::-1]
-        turned += int(members.sum())
-    return faces, turned
+    return faces
 
 
-def _fill_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def _fill_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Closes boundary loops smaller than the limit by a fan around their centroid."""
     edges = _edges(faces)
     order = np.lexsort(np.sort(edges, axis=1).T)
@@ -272,7 +249,7 @@ def _fill_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     paired[order[:-1][same]] = True
     limit = _MAX_HOLE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     new_vertices, new_faces = [vertices], [faces]
-    filled, total = 0, len(vertices)
+    total = len(vertices)
     for loop in _loops(edges[~paired]):
         if np.ptp(vertices[loop], axis=0).max() > limit:
             continue
@@ -284,8 +261,7 @@ def _fill_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
             new_vertices.append(vertices[loop].mean(axis=0)[None])
             new_faces.append(np.stack([following, loop, np.full_like(loop, total)], axis=1))
             total += 1
-        filled += 1
-    return np.concatenate(new_vertices), np.concatenate(new_faces), filled
+    return np.concatenate(new_vertices), np.concatenate(new_faces)
 
 
 def _loops(half_edges: np.ndarray) -> list[np.ndarray]:

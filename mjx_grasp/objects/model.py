@@ -15,7 +15,7 @@ from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import ObjectInfo, load_catalogue
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
@@ -66,20 +66,7 @@ def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
     info = _info(name)
     if objects_dir is None:
         return stand_in(info.scan_of, info.scale)
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names))[0], info.scale)
-
-
-def has_scan(name: str, objects_dir: Path) -> bool:
-    """Whether a folder holds a scan of an object.
-
-    Raises:
-        InputError: An unknown name.
-    """
-    try:
-        find_scan(objects_dir, _info(name).scan_names)
-    except FileError:
-        return False
-    return True
+    return centred(read_mesh(find_scan(objects_dir, info.scan_names)), info.scale)
 
 
 def _info(name: str) -> ObjectInfo:

@@ -8,6 +8,7 @@ are covered by small spheres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, product
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +64,6 @@ class Body:
     arm_capsules: Solids
     pairs: Int[np.ndarray, "finger_pairs link_pairs 2"]
     """pairs of hand capsules of different fingers, one row per pair of fingers"""
-    pair_names: tuple[str, ...]
     arm_pairs: Int[np.ndarray, "arm_links arm_pairs 2"]
     """pairs of arm capsules that are not neighbours, one row per outer link"""
     hand_spheres: Solids
@@ -126,13 +126,7 @@ def robot_body(robot: RobotSpec) -> Body:
         parts = [inner, *([n for n in members if capsules[n].body == b] for b in outer)]
         groups += [part for part in parts if part]
         names += [model.body(finger[-1]).name] * sum(bool(part) for part in parts)
-    pairs, pair_names = [], []
-    for i in range(len(fingers)):
-        for j in range(i + 1, len(fingers)):
-            pairs.append([(a, b) for a in links[i] for b in links[j]])
-            pair_names.append(
-                f"{model.body(fingers[i][-1]).name}/{model.body(fingers[j][-1]).name}"
-            )
+    pairs = [list(product(*two)) for two in combinations(links, 2)]
 
     points = covered(model, palm)
     if not points:
@@ -169,7 +163,6 @@ def robot_body(robot: RobotSpec) -> Body:
         palm_points=solids(points, frame_of, near, ("palm",) * len(near)),
         arm_capsules=solids(arm, frame_of, [[n] for n in far], far_names),
         pairs=padded(pairs),
-        pair_names=tuple(pair_names),
         arm_pairs=padded(arm_pairs) if arm_pairs else np.zeros((0, 1, 2), int),
         hand_spheres=solids(spheres, frame_of, [list(range(len(spheres)))], ("hand",)),
         apart=_apart(model, robot, spheres),

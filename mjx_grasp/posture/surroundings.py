@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
-from mjx_grasp.geometry.vectors import dot, norm, unit
+from mjx_grasp.geometry.vectors import dot, norm, turned, turned_back, unit
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.cover import Solids
 from mjx_grasp.robot.kinematics import Motion
@@ -70,18 +70,13 @@ class Proximity(NamedTuple):
 def placed(solids: Solids, motion: Motion) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Both ends of the segments in world, [m]."""
     mat, pos = motion.mat[solids.frame], motion.pos[solids.frame]
-    start = pos + _turned(mat, jnp.asarray(solids.start))
-    return start, pos + _turned(mat, jnp.asarray(solids.end))
-
-
-def _turned(mat: Float[Array, "*#n 3 3"], vec: Float[Array, "*#n 3"]) -> Float[Array, "*n 3"]:
-    return mat[..., 0] * vec[..., :1] + mat[..., 1] * vec[..., 1:2] + mat[..., 2] * vec[..., 2:]
+    start = pos + turned(mat, jnp.asarray(solids.start))
+    return start, pos + turned(mat, jnp.asarray(solids.end))
 
 
 def to_object(around: Surroundings, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """World points in the object frame."""
-    offset, R = points - around.p_wo, around.R_wo
-    return offset[..., :1] * R[0] + offset[..., 1:2] * R[1] + offset[..., 2:] * R[2]
+    return turned_back(around.R_wo, points - around.p_wo)
 
 
 def slopes(
@@ -168,7 +163,7 @@ def object_proximity(body: Body, solids: Solids, motion: Motion, around: Surroun
         pick = _picked(solids.groups, distance - solids.radius)
         centre = at[pick]
         exact, normal = distance_and_normal(around.shape, to_object(around, centre))
-        normal = _turned(around.R_wo, normal)
+        normal = turned(around.R_wo, normal)
         moves = jnp.asarray(body.moves[solids.frame], centre.dtype)[pick]
         surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
         slope = slopes(motion, moves, centre, normal)

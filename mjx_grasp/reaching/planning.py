@@ -6,9 +6,8 @@ and guides selection and reaching in the presets that look ahead.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Plans, Reacher, ReachState
+from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Seed, Settings
@@ -69,8 +68,6 @@ class Search(NamedTuple):
     least_error: Float[Array, ""]
     """of all clear solutions, the least of their largest tip errors; +inf if all penetrate
     something [m]"""
-    least_penetration: Float[Array, ""]
-    """of all solutions within 20 mm [m]"""
     at_limit: Bool[Array, ""]
     """whether the best attempt has a joint at its limit"""
 
@@ -155,12 +152,11 @@ class Planner:
             guide=jax.vmap(planned)(kept),
         )
         error = jnp.max(found.error, axis=1)
-        clear, close = allowed[option] & (found.penetration <= 0), allowed[option] & (error <= 0.02)
+        clear = allowed[option] & (found.penetration <= 0)
         return Search(
             plans=plans,
             cost=cost[kept],
             least_error=jnp.min(jnp.where(clear, error, jnp.inf)),
-            least_penetration=jnp.min(jnp.where(close, found.penetration, jnp.inf)),
             at_limit=found.at_limit[kept[0]],
         )
 
@@ -225,35 +221,3 @@ class Planner:
             # Those in the same place come after all others.
             cost = jnp.where(near, cost + _FAILED, cost)
         return jnp.stack(kept)
-
-
-def plan_again(
-    reacher: Reacher,
-    search: Callable[..., Plans],
-    state: ReachState,
-    plans: Plans,
-    *situation: Any,
-) -> tuple[ReachState, Plans]:
-    """New plans for those of a batch of reaches whose own no longer fit.
-
-    As long as all of them fit, nothing is computed.
-
-    Args:
-        reacher: The controller.
-        search: Makes the plans of one reach from its situation.
-        state: Of all reaches, stacked.
-        plans: That they follow.
-        *situation: What ``search`` wants to know, stacked.
-    """
-
-    def renewed() -> tuple[ReachState, Plans]:
-        found = jax.vmap(search)(*situation)
-        adopted = jax.vmap(reacher.adopt)(state, found)
-
-        def chosen(new: Array, old: Array) -> Array:
-            stale = state.stale.reshape(-1, *[1] * (new.ndim - 1))
-            return jnp.where(stale, new, old)
-
-        return jax.tree.map(chosen, (adopted, found), (state, plans))
-
-    return jax.lax.cond(jnp.any(state.stale), renewed, lambda: (state, plans))

@@ -65,16 +65,20 @@ class Several:
     """Whether no value may be less than the one before it."""
     strictly: bool = False
     """Whether each has to be more."""
+    once: bool = False
+    """Whether no value may come twice."""
 
     def holds(self, values: tuple[Any, ...]) -> bool:
         """Whether there are as many and in order."""
         before = operator.lt if self.strictly else operator.le
         ordered = not self.ascending or all(before(a, b) for a, b in itertools.pairwise(values))
-        return len(values) >= self.least and ordered
+        repeats = self.once and len(set(values)) < len(values)
+        return len(values) >= self.least and ordered and not repeats
 
     def __str__(self) -> str:
         order = "different ones in ascending order" if self.strictly else "in ascending order"
-        return f"{self.least} or more" + (f", {order}" if self.ascending else "")
+        order = order if self.ascending else "each once" if self.once else ""
+        return f"{self.least} or more" + (f", {order}" if order else "")
 
 
 @dataclass(frozen=True)
@@ -180,6 +184,8 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
     for name, known in fields.items():
         if name in record:
             values[name] = _value(hints[name], record[name], f"{where}.{name}")
+            if (expected := _expected(hints[name], values[name])) is not None:
+                raise InputError(f"{where}.{name}", record[name], expected)
         elif "absent" in known.metadata:
             values[name] = known.metadata["absent"]
         elif known.default is known.default_factory is dataclasses.MISSING:
@@ -250,7 +256,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return value if value is None else _value(inner[0], value, where)
     if get_origin(bare) is tuple and isinstance(value, list):
         each = itertools.repeat(arguments[0]) if arguments[1:] == (...,) else arguments
-        known = tuple(_value(h, v, where) for h, v in zip(each, value, strict=False))
+        numbered = enumerate(zip(each, value, strict=False))
+        known = tuple(_value(h, v, f"{where}[{i}]") for i, (h, v) in numbered)
         return (*known, *value[len(known) :])
     if isinstance(bare, type) and dataclasses.is_dataclass(bare):
         return from_record(bare, value, where)

@@ -1,4 +1,4 @@
-"""A table of ready text, for Markdown, HTML and the terminal."""
+"""A table of ready text, for HTML and the terminal."""
 
 from __future__ import annotations
 
@@ -20,15 +20,6 @@ class Table:
     """How many of the last rows sum up the others."""
     names: int = 1
     """How many of the first columns are names; the others are numbers."""
-
-    def markdown(self) -> str:
-        """The table without its title, as Markdown."""
-        first = len(self.rows) - self.summary
-        rule = ["---"] * self.names + ["---:"] * (len(self.header) - self.names)
-        lines = [self.header, tuple(rule)]
-        for i, row in enumerate(self.rows):
-            lines.append(row if i < first else tuple(f"**{c}**" if c else "" for c in row))
-        return "\n".join(f"| {' | '.join(c.replace('|', '/') for c in cells)} |" for cells in lines)
 
     def __rich__(self) -> RichTable:
         """The table for a terminal."""

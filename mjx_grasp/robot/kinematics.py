@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.geometry.so3 import product
+from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.robot.chains import Chains, compile_chains
 
 
@@ -83,8 +85,8 @@ class Kinematics:
         chains = self.chains
         node_pos, node_mat = self._nodes(q)
         parent_mat = node_mat[chains.parent]
-        axis = _rotated(parent_mat, _constant(chains.axis, q))
-        anchor = node_pos[chains.parent] + _rotated(parent_mat, _constant(chains.anchor, q))
+        axis = turned(parent_mat, _constant(chains.axis, q))
+        anchor = node_pos[chains.parent] + turned(parent_mat, _constant(chains.anchor, q))
         hinge = jnp.asarray(chains.hinge)[:, None]
         angular = jnp.where(hinge, axis, 0.0)
         linear = jnp.where(hinge, jnp.cross(anchor, axis), axis)
@@ -97,27 +99,6 @@ class Kinematics:
     ) -> tuple[Float[Array, "frames 3"], Float[Array, "frames 3 3"]]:
         """Origins [m] and rotations (columns are the frame's axes) of the frames, in the world."""
         return self._frames(*self._nodes(q))
-
-    def jacobian(self, q: Float[Array, " joints"]) -> Float[Array, "frames 6 joints"]:
-        """Maps joint velocities to twists of the frames.
-
-        Rows 0–2 are the linear velocity of the frame's origin [m/s], rows 3–5 the angular velocity
-        [rad/s], both along the world's axes.
-        """
-        chains = self.chains
-        node_pos, node_mat = self._nodes(q)
-        frame_pos, _ = self._frames(node_pos, node_mat)
-        parent_mat = node_mat[chains.parent]
-        axis = _rotated(parent_mat, _constant(chains.axis, q))
-        anchor = node_pos[chains.parent] + _rotated(parent_mat, _constant(chains.anchor, q))
-        hinge = jnp.asarray(chains.hinge)[:, None]
-        swept = jnp.cross(axis, frame_pos[:, None, :] - anchor)
-        linear = jnp.where(hinge, swept, axis)
-        angular = jnp.broadcast_to(jnp.where(hinge, axis, 0.0), linear.shape)
-        twists = jnp.concatenate([linear, angular], axis=-1)
-        twists = jnp.where(jnp.asarray(chains.moves)[:, :, None], twists, 0.0)
-        columns = jnp.zeros((len(self.frames), 6, len(self.joints)), q.dtype)
-        return columns.at[:, :, chains.column].set(jnp.swapaxes(twists, 1, 2))
 
     def _nodes(
         self, q: Float[Array, " joints"]
@@ -133,7 +114,7 @@ class Kinematics:
             + sin * _constant(chains.sine, q)
         )
         slid = jnp.where(jnp.asarray(chains.hinge), 0.0, s)[:, None] * _constant(chains.axis, q)
-        pos = _constant(chains.anchor, q) + slid - _rotated(mat, _constant(chains.offset, q))
+        pos = _constant(chains.anchor, q) + slid - turned(mat, _constant(chains.offset, q))
 
         level_pos, level_mat = [jnp.zeros((1, 3), q.dtype)], [jnp.eye(3, dtype=q.dtype)[None]]
         first = 0
@@ -141,8 +122,8 @@ class Kinematics:
             parent = chains.parent[level] - first
             first += len(level_pos[-1])
             above_pos, above_mat = level_pos[-1][parent], level_mat[-1][parent]
-            level_pos.append(above_pos + _rotated(above_mat, pos[level]))
-            level_mat.append(_product(above_mat, mat[level]))
+            level_pos.append(above_pos + turned(above_mat, pos[level]))
+            level_mat.append(product(above_mat, mat[level]))
         return jnp.concatenate(level_pos), jnp.concatenate(level_mat)
 
     def _frames(
@@ -151,21 +132,10 @@ class Kinematics:
         """The frames on their nodes."""
         pos, mat = node_pos[self.chains.frame_node], node_mat[self.chains.frame_node]
         return (
-            pos + _rotated(mat, _constant(self.chains.frame_pos, pos)),
-            _product(mat, _constant(self.chains.frame_mat, mat)),
+            pos + turned(mat, _constant(self.chains.frame_pos, pos)),
+            product(mat, _constant(self.chains.frame_mat, mat)),
         )
 
 
 def _constant(value: np.ndarray, like: Array) -> Array:
     return jnp.asarray(value, like.dtype)
-
-
-# Products are written out: a reduction would end the fusion with what comes before.
-def _rotated(mat: Float[Array, "n 3 3"], vec: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    x, y, z = (mat[:, :, k] * vec[:, k, None] for k in range(3))
-    return x + y + z
-
-
-def _product(a: Float[Array, "n 3 3"], b: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-    x, y, z = (a[:, :, k, None] * b[:, None, k, :] for k in range(3))
-    return x + y + z

@@ -7,75 +7,114 @@ checks one and prints what it understood.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import mujoco
 import tyro
+import yaml
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.records.settings import CommandSettings
+from mjx_grasp.records.settings import (
+    CommandSettings,
+    Finite,
+    Positive,
+    Settings,
+    Several,
+    from_record,
+)
 from mjx_grasp.robot.identity import RobotIdentity
-from mjx_grasp.robot.reading import Section
 
+_WHOLE = "description"
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
+Name = Annotated[str, Several()]
+Names = Annotated[tuple[Name, ...], Several(once=True)]
+
+
 @dataclass(frozen=True)
-class FingerSpec:
+class FingerSpec(Settings):
     """One finger of the grasp. Names are those of the MJCF."""
 
-    name: str
-    role: str  # 'thumb' or 'wrap'
-    joints: tuple[str, ...]  # from the root to the tip
-    policy_joints: tuple[str, ...]  # those that the closing policy drives
-    bodies: tuple[str, ...]  # links from the root to the tip
-    tip_body: str  # the distal link
-    tip_geom: str  # its only geom, which contact sensors watch
-    tip_site: str  # the tip frame, in which all tip errors are measured
-    pad_site: str  # centre of the pad; the pad's outward normal is the site's +x
+    name: Name
+    role: Literal["thumb", "wrap"]
+    joints: Names
+    """from the root to the tip"""
+    policy_joints: Names
+    """those that the closing policy drives"""
+    bodies: Names
+    """links from the root to the tip"""
+    tip_body: Name
+    """the distal link"""
+    tip_geom: Name
+    """its only geom, which contact sensors watch"""
+    tip_site: Name
+    """the tip frame, in which all tip errors are measured"""
+    pad_site: Name
+    """centre of the pad; the pad's outward normal is the site's +x"""
 
 
 @dataclass(frozen=True)
-class HandSpec:
+class HandSpec(Settings):
     """The hand. Axes are in the palm frame, which is the frame of ``palm_body``."""
 
-    name: str
-    palm_body: str
-    palm_site: str
-    fingers: tuple[FingerSpec, FingerSpec, FingerSpec]  # the thumb, then the two wraps
-    joints: tuple[str, ...]  # all of the hand, model order
-    open_posture: tuple[float, ...]  # rad, one per joint
-    span: tuple[float, float]  # m, least and greatest distance of thumb and wraps
-    scoring_friction: float  # friction coefficient of the heatmap's scores
-    approach_axis: tuple[float, float, float]  # out of the palm
-    opposing_axis: tuple[float, float, float]  # whose angle to the grasp axis is weighed
-    velocity_limit: float  # rad/s, every joint
+    name: Name
+    palm_body: Name
+    palm_site: Name
+    fingers: tuple[FingerSpec, ...]
+    """the thumb, then the two wraps"""
+    joints: Names
+    """all of the hand, model order"""
+    open_posture: tuple[Finite, ...]
+    """one per joint [rad]"""
+    span: Annotated[tuple[Positive, Positive], Several(ascending=True, strictly=True)]
+    """least and greatest distance of thumb and wraps [m]"""
+    scoring_friction: Positive
+    """friction coefficient of the heatmap's scores [-]"""
+    approach_axis: tuple[Finite, Finite, Finite]
+    """out of the palm"""
+    opposing_axis: tuple[Finite, Finite, Finite]
+    """whose angle to the grasp axis is weighed"""
+    velocity_limit: Positive
+    """of every joint [rad/s]"""
 
     @property
     def policy_joints(self) -> tuple[str, ...]:
         """Joints that the policy drives: thumb, first wrap, second wrap."""
         return tuple(joint for finger in self.fingers for joint in finger.policy_joints)
 
-    @property
-    def held_joints(self) -> tuple[str, ...]:
-        """Joints that the policy leaves alone, model order."""
-        driven = set(self.policy_joints)
-        return tuple(joint for joint in self.joints if joint not in driven)
+
+@dataclass(frozen=True)
+class ArmSpec(Settings):
+    """The arm."""
+
+    name: Name
+    joints: Names
+    """from the base to the flange"""
+    policy_joints: Names
+    """those that the closing policy drives"""
+    home: tuple[Finite, ...]
+    """one per joint [rad]"""
+    velocity_limits: tuple[Positive, ...]
+    """one per joint [rad/s]"""
 
 
 @dataclass(frozen=True)
-class ArmSpec:
-    """The arm."""
+class _Description(Settings):
+    """What a description file holds."""
 
-    name: str
-    joints: tuple[str, ...]  # from the base to the flange
-    policy_joints: tuple[str, ...]  # those that the closing policy drives
-    home: tuple[float, ...]  # rad, one per joint
-    velocity_limits: tuple[float, ...]  # rad/s, one per joint
+    name: Name
+    mjcf: Name
+    """its file, beside the description"""
+    arm: ArmSpec
+    hand: HandSpec
 
 
 @dataclass(frozen=True)
@@ -102,7 +141,7 @@ class RobotSpec:
     @property
     def home(self) -> tuple[float, ...]:
         """The arm at home with the hand open, rad, one per joint."""
-        return self.arm.home + self.hand.open_posture
+        return tuple(map(float, self.arm.home + self.hand.open_posture))
 
     @property
     def velocity_limits(self) -> tuple[float, ...]:
@@ -148,103 +187,74 @@ def load_robot(name: str | Path = "rizon4_hx5d20") -> RobotSpec:
         path = Path(name)
     else:
         path = asset_path("robot", f"{name}.yaml")
-    spec = _read(Section.from_file(path))
+    spec = _read(path)
     _check_against_model(spec, path)
     return spec
 
 
-def _read(section: Section) -> RobotSpec:
-    arm, hand = section.section("arm"), section.section("hand")
-    name, mjcf = section.name("name"), section.path.parent / section.name("mjcf")
-    arm_spec, hand_spec = _read_arm(arm), _read_hand(hand)
-    for part in (section, arm, hand):
-        part.done()
+def _read(path: Path) -> RobotSpec:
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise FileError(path, error.strerror or "no file", "a robot description") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        found = " ".join(str(error).split())
+        raise FileError(path, f"no valid YAML ({found})", "a robot description") from error
+    try:
+        described = from_record(_Description, content, _WHOLE)
+        _check_parts(described.arm, described.hand)
+    except InputError as error:
+        field = error.field.removeprefix(_WHOLE).removeprefix(".") or "content"
+        raise InputError(f"{path}: {field}", error.found, error.expected) from None
+    mjcf = path.parent / described.mjcf
     if not mjcf.is_file():
-        raise FileError(mjcf, "no such file", f"the MJCF that {section.path} names")
+        raise FileError(mjcf, "no such file", f"the MJCF that {path} names")
     # Neither comments nor how a checkout ends its lines make another robot.
-    known = section.as_json().encode() + mjcf.read_bytes().replace(b"\r\n", b"\n")
-    return RobotSpec(name, arm_spec, hand_spec, mjcf, hashlib.sha256(known).hexdigest())
+    known = json.dumps(content, sort_keys=True).encode()
+    known += mjcf.read_bytes().replace(b"\r\n", b"\n")
+    digest = hashlib.sha256(known).hexdigest()
+    return RobotSpec(described.name, described.arm, described.hand, mjcf, digest)
 
 
-def _read_arm(section: Section) -> ArmSpec:
-    joints = section.names("joints")
-    limits = section.numbers("velocity_limits", len(joints))
-    if min(limits) <= 0:
-        raise InputError(section.field("velocity_limits"), limits, "numbers above zero")
-    return ArmSpec(
-        name=section.name("name"),
-        joints=joints,
-        policy_joints=_subset(section, "policy_joints", joints),
-        home=section.numbers("home", len(joints)),
-        velocity_limits=limits,
-    )
+def _check_parts(arm: ArmSpec, hand: HandSpec) -> None:
+    """What fields say of each other."""
 
+    def check(holds: bool, field: str, found: object, expected: str) -> None:
+        if not holds:
+            raise InputError(field, found, expected)
 
-def _read_hand(section: Section) -> HandSpec:
-    joints = section.names("joints")
-    fingers = [_read_finger(part, joints) for part in section.sections("fingers")]
-    roles = tuple(finger.role for finger in fingers)
-    if roles != ("thumb", "wrap", "wrap"):
-        raise InputError(section.field("fingers"), roles, "three fingers: thumb, wrap, wrap")
+    def check_joints(field: str, names: Sequence[str], joints: Sequence[str]) -> None:
+        ordered = [joint for joint in joints if joint in names]
+        among = "joints in this order out of " + ", ".join(joints)
+        check(list(names) == ordered, field, names, among)
+
+    for field, numbers, joints in (
+        ("arm.home", arm.home, arm.joints),
+        ("arm.velocity_limits", arm.velocity_limits, arm.joints),
+        ("hand.open_posture", hand.open_posture, hand.joints),
+    ):
+        expected = f"{len(joints)} numbers"
+        check(len(numbers) == len(joints), field, f"{len(numbers)} numbers", expected)
+    check_joints("arm.policy_joints", arm.policy_joints, arm.joints)
+    for name in ("approach_axis", "opposing_axis"):
+        axis = getattr(hand, name)
+        unit = abs(math.hypot(*axis) - 1.0) <= 1e-6
+        check(unit, f"hand.{name}", axis, "a vector of length 1")
+    for i, finger in enumerate(hand.fingers):
+        field = f"hand.fingers[{i}]"
+        check_joints(f"{field}.joints", finger.joints, hand.joints)
+        check_joints(f"{field}.policy_joints", finger.policy_joints, finger.joints)
+        among = "one of " + ", ".join(finger.bodies)
+        check(finger.tip_body in finger.bodies, f"{field}.tip_body", finger.tip_body, among)
+    roles = [finger.role for finger in hand.fingers]
+    right = roles == ["thumb", "wrap", "wrap"]
+    check(right, "hand.fingers", roles, "three fingers: thumb, wrap, wrap")
     for what in ("name", "tip_body", "tip_geom", "tip_site", "pad_site"):
-        values = [getattr(finger, what) for finger in fingers]
-        if len(set(values)) != len(values):
-            raise InputError(section.field("fingers"), values, f"another {what} for each finger")
-    shared = [joint for finger in fingers for joint in finger.joints]
-    if len(set(shared)) != len(shared):
-        raise InputError(section.field("fingers"), shared, "each joint in one finger only")
-    low, high = section.numbers("span", 2)
-    if not 0 < low < high:
-        raise InputError(section.field("span"), (low, high), "0 < least < greatest, in m")
-    thumb, first, second = fingers
-    return HandSpec(
-        name=section.name("name"),
-        palm_body=section.name("palm_body"),
-        palm_site=section.name("palm_site"),
-        fingers=(thumb, first, second),
-        joints=joints,
-        open_posture=section.numbers("open_posture", len(joints)),
-        span=(low, high),
-        scoring_friction=section.number("scoring_friction", positive=True),
-        approach_axis=_unit_axis(section, "approach_axis"),
-        opposing_axis=_unit_axis(section, "opposing_axis"),
-        velocity_limit=section.number("velocity_limit", positive=True),
-    )
-
-
-def _read_finger(section: Section, hand_joints: tuple[str, ...]) -> FingerSpec:
-    joints = _subset(section, "joints", hand_joints)
-    bodies = section.names("bodies")
-    finger = FingerSpec(
-        name=section.name("name"),
-        role=section.name("role", among=("thumb", "wrap")),
-        joints=joints,
-        policy_joints=_subset(section, "policy_joints", joints),
-        bodies=bodies,
-        tip_body=section.name("tip_body", among=bodies),
-        tip_geom=section.name("tip_geom"),
-        tip_site=section.name("tip_site"),
-        pad_site=section.name("pad_site"),
-    )
-    section.done()
-    return finger
-
-
-def _subset(section: Section, key: str, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that are all among the given ones, in the same order."""
-    names = section.names(key)
-    if names != tuple(joint for joint in joints if joint in names):
-        raise InputError(
-            section.field(key), names, "joints in this order out of " + ", ".join(joints)
-        )
-    return names
-
-
-def _unit_axis(section: Section, key: str) -> tuple[float, float, float]:
-    x, y, z = section.numbers(key, 3)
-    if abs(math.hypot(x, y, z) - 1.0) > 1e-6:
-        raise InputError(section.field(key), (x, y, z), "a vector of length 1")
-    return x, y, z
+        values = [getattr(finger, what) for finger in hand.fingers]
+        check(len(set(values)) == 3, "hand.fingers", values, f"another {what} for each finger")
+    shared = [joint for finger in hand.fingers for joint in finger.joints]
+    once = len(set(shared)) == len(shared)
+    check(once, "hand.fingers", shared, "each joint in one finger only")
 
 
 def _check_against_model(spec: RobotSpec, path: Path) -> None:

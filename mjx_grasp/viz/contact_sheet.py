@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
+from typing import Any
 
-import matplotlib
 import numpy as np
 from jaxtyping import Float
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.records.atomic import replacing
-from mjx_grasp.viz.heatmap import ANCHOR, BACKGROUND, THUMB, WRAP, Subject, draw
+from mjx_grasp.heatmap.colours import MAP
+from mjx_grasp.viz.heatmap import ANCHOR, THUMB, WRAP, Subject, draw
 
-_INK, _GREY = (25, 25, 35), (110, 115, 125)
+_INK, _GREY = "#191923", "#6e737d"
 _ASPECT = 1.6  # of a whole sheet
 _MOST_PIXELS = 8000  # of a sheet's side
 _PAD = 0.05  # of a cell
 _LEAST_WIDTH = 52  # letters: colour bar and legend side by side
-_TONE_STEPS = (1, 2, 3, 4, 6, 8)  # of 255; 4 is not seen on shaded surfaces
+_LETTER = 0.6  # width of one, of the font's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,109 +70,70 @@ def contact_sheet(
     cell_pixels = max(48, min(cell_pixels, _MOST_PIXELS // max(columns, rows)))
     font = max(9, round(0.055 * cell_pixels))
     label, pad = round(3.0 * font), round(_PAD * cell_pixels)
-    head, foot = round(4.4 * font), round(4.6 * font)
+    head, foot = round(4.4 * font), round(5.0 * font)
     width = max(columns * cell_pixels, _LEAST_WIDTH * font) + 2 * pad
     height = head + rows * (cell_pixels + label) + foot
-    sheet = Image.new("RGB", (width, height), BACKGROUND)
-    pen = ImageDraw.Draw(sheet)
-    pen.text((pad, 0.7 * font), title, _INK, _font(round(1.5 * font), bold=True))
-    pen.text((pad, 2.7 * font), subtitle, _GREY, _font(font))
+    figure = Figure((width / 72, height / 72), dpi=72)  # a point is a pixel
+    canvas = FigureCanvasAgg(figure)
+
+    def write(x: float, y: float, text: str, size: float = font, **how: Any) -> None:
+        """Text whose upper end is so many pixels below the sheet's."""
+        how = {"color": _INK, "va": "top"} | how
+        figure.text(x / width, 1.0 - y / height, text, size=size, **how)
+
+    write(pad, 0.7 * font, title, 1.5 * font, weight="bold")
+    write(pad, 2.7 * font, subtitle, color=_GREY)
     left = (width - columns * cell_pixels) // 2
+    letters = int(cell_pixels / (_LETTER * font))
     for k, cell in enumerate(cells):
         x = left + (k % columns) * cell_pixels
         y = head + (k // columns) * (cell_pixels + label)
         side = cell_pixels - 2 * pad
         picture = draw(cell.subject, side, side, cell.axes, top)
-        sheet.paste(Image.fromarray(picture), (x + pad, y + pad))
-        middle = x + cell_pixels / 2
-        _centred(pen, middle, y + cell_pixels - 0.5 * font, cell.title, _INK, font, cell_pixels)
-        _centred(pen, middle, y + cell_pixels + 0.8 * font, cell.note, _GREY, font, cell_pixels)
+        figure.figimage(picture, x + pad, height - y - pad - side)
+        middle, below = x + cell_pixels / 2, y + cell_pixels
+        for text, line, colour in ((cell.title, -0.5, _INK), (cell.note, 0.8, _GREY)):
+            text = text if len(text) <= letters else f"{text[: letters - 1]}…"
+            write(middle, below + line * font, text, color=colour, ha="center")
         done()
-    _draw_bar(sheet, pen, pad, height - foot + font, font, top, scale)
-    _draw_legend(pen, cells, width - pad, height - foot + 1.5 * font, font)
-    return sheet
+    bar = (pad + (_LETTER * len(scale) + 1) * font) / width, 3.0 * font / height
+    axes = figure.add_axes((*bar, 14 * font / width, 0.9 * font / height))
+    axes.imshow(np.linspace(0.0, top, 256)[None], MAP, extent=(0.0, top, 0.0, 1.0), aspect="auto")
+    axes.spines[:].set_visible(False)
+    axes.set_xticks(np.linspace(0.0, top, 6))
+    axes.set_yticks([])
+    axes.tick_params(labelsize=font, colors=_GREY)
+    write(pad, height - 3.9 * font, scale)
+    figure.legend(
+        handles=_marks(cells, font),
+        loc="center right",
+        bbox_to_anchor=(1.0 - pad / width, 3.4 * font / height),
+        ncols=4,
+        handletextpad=0.1,
+        columnspacing=1.0,
+        borderpad=0.0,
+        frameon=False,
+        fontsize=font,
+    )
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
-def write_png(path: str | Path, sheet: Image.Image, max_bytes: int | None = None) -> None:
-    """Writes a sheet as PNG, all or nothing; with fewer tones where it would be too large.
+def _marks(cells: Sequence[Cell], font: float) -> list[Line2D]:
+    """Entries of the legend: only marks that are on the sheet."""
 
-    Raises:
-        InputError: It is larger than asked for even with the fewest tones.
-    """
-    tones = np.asarray(sheet)
-    with replacing(path) as temporary:
-        for step in _TONE_STEPS:
-            coarse = np.where(tones == 255, 255, np.round(tones / step) * step).clip(0, 255)
-            Image.fromarray(coarse.astype(np.uint8)).save(temporary, optimize=True)
-            size = temporary.stat().st_size
-            if max_bytes is None or size <= max_bytes:
-                return
-        raise InputError("max_bytes", max_bytes, f"at least {size} bytes: fewer or smaller cells")
+    def mark(name: str, marker: str, fill: Any, edge: Any, width: float) -> Line2D:
+        return Line2D(
+            [], [], linestyle="", marker=marker, label=name, markersize=0.8 * font,
+            markerfacecolor=fill, markeredgecolor=edge, markeredgewidth=width * font,
+        )  # fmt: skip
 
-
-def _draw_bar(
-    sheet: Image.Image,
-    pen: ImageDraw.ImageDraw,
-    x: float,
-    y: float,
-    font: int,
-    top: float,
-    scale: str,
-) -> None:
-    width, thick = 14 * font, round(0.9 * font)
-    pen.text((x, y), scale, _INK, _font(font), anchor="lt")
-    x += _font(font).getlength(scale) + font
-    colours = score_colours(np.linspace(0.0, top, width), top)
-    bar = Image.fromarray(np.repeat(colours[None], thick, axis=0))
-    sheet.paste(bar, (round(x), round(y)))
-    for k in range(6):
-        at = x + k * (width - 1) / 5
-        pen.line([(at, y + thick), (at, y + thick + 0.3 * font)], _GREY, 1)
-        text = f"{top * k / 5:.1f}" if top >= 0.5 else f"{top * k / 5:.2g}"
-        pen.text((at, y + thick + 0.5 * font), text, _GREY, _font(font), anchor="mt")
-
-
-def _draw_legend(
-    pen: ImageDraw.ImageDraw, cells: Sequence[Cell], right: float, y: float, font: int
-) -> None:
-    """From the right: what the marks mean; only marks that are on the sheet."""
-    entries = [("far side", None, True), ("index and middle", WRAP, False), ("thumb", THUMB, False)]
+    anchor, thumb, wrap = (np.array(colour) / 255 for colour in (ANCHOR, THUMB, WRAP))
+    marks = []
     if any(c.subject.anchor is not None for c in cells):
-        entries.append(("anchor", ANCHOR, False))
-    if all(c.subject.thumb is None for c in cells):
-        entries = entries[3:]
-    r, x = 0.42 * font, right
-    for text, colour, ring in entries:
-        x -= _font(font).getlength(text)
-        pen.text((x, y), text, _INK, _font(font), anchor="lm")
-        x -= 1.1 * font
-        box = (x - r, y - r, x + r, y + r)
-        if colour == ANCHOR:
-            for sign in (-1, 1):
-                pen.line([(x - r, y - sign * r), (x + r, y + sign * r)], ANCHOR, round(0.3 * font))
-        elif ring:
-            pen.ellipse(box, outline=_INK, width=max(1, round(0.18 * font)))
-        else:
-            pen.ellipse(box, fill=colour, outline=_INK, width=max(1, round(0.1 * font)))
-        x -= 1.3 * font
-
-
-def _centred(
-    pen: ImageDraw.ImageDraw,
-    x: float,
-    y: float,
-    text: str,
-    colour: tuple[int, int, int],
-    size: int,
-    room: float,
-) -> None:
-    font = _font(size)
-    while text and font.getlength(text) > room:
-        text = text[:-2] + "…"
-    pen.text((x, y), text, colour, font, anchor="ma")  # from the ascender: one line for all
-
-
-@cache
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
+        marks.append(mark("anchor", "x", anchor, anchor, 0.25))
+    if any(c.subject.thumb is not None for c in cells):
+        marks.append(mark("thumb", "o", thumb, _INK, 0.1))
+        marks.append(mark("index and middle", "o", wrap, _INK, 0.1))
+        marks.append(mark("far side", "o", "none", _INK, 0.2))
+    return marks

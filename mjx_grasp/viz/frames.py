@@ -5,7 +5,6 @@ Imports MuJoCo only inside `render`, so that the caller decides on MUJOCO_GL.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,23 +26,6 @@ _SUPERSAMPLING = 2  # software renderers have no smooth edges of their own
 
 class BackendError(MjxGraspError):
     """The OpenGL backend that MUJOCO_GL names does not work on this machine."""
-
-
-def check_backend() -> None:
-    """Whether MuJoCo can render in this process, with what MUJOCO_GL names, found out by doing it.
-
-    Raises:
-        BackendError: It cannot.
-    """
-    try:
-        import mujoco
-
-        with warnings.catch_warnings():  # GLFW tells twice what fails, and then fails
-            warnings.simplefilter("ignore")
-            with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
-                renderer.render()
-    except Exception as error:
-        raise BackendError(_first_line(error)) from error
 
 
 def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[Frame]:
@@ -116,24 +98,16 @@ def write(
 
 def write_mp4(path: str | Path, pictures: Sequence[Frame], fps: float) -> None:
     """An H.264 video that browsers play."""
-    import imageio_ffmpeg
+    import imageio
 
     height, width = pictures[0].shape[:2]
-    even = (width - width % 2, height - height % 2)  # the encoder's colour format needs it
+    # The encoder's colour format needs even sizes.
+    even: list[Any] = [picture[: height - height % 2, : width - width % 2] for picture in pictures]
     with replacing(path) as temporary:
-        encoder = imageio_ffmpeg.write_frames(
-            str(temporary),
-            even,
-            fps=fps,
-            codec="libx264",
-            quality=None,
-            macro_block_size=1,
-            output_params=["-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
-        )
-        encoder.send(None)
-        for picture in pictures:
-            encoder.send(np.ascontiguousarray(picture[: even[1], : even[0]]))
-        encoder.close()
+        imageio.mimwrite(
+            temporary, even, fps=fps, codec="libx264", quality=None, macro_block_size=1,
+            output_params=["-crf", "20", "-movflags", "+faststart"],
+        )  # fmt: skip
 
 
 def write_gif(

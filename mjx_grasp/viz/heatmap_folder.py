@@ -14,7 +14,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.heatmap import HeatmapConfig
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
@@ -22,10 +22,10 @@ from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, catalogue_entry, find_meshes
-from mjx_grasp.records.atomic import check_new_folder
+from mjx_grasp.records.atomic import check_new_folder, replacing
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import NonNegative, Range, Seed, to_record
-from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import subject_of
 
 _FARTHEST = 1.0  # an anchor farther from the mesh than its diagonal, times this, is a mistake
@@ -114,7 +114,8 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
             bar = progress.add_task("contact sheet", total=len(cells))
             titles = _title(config), _subtitle(config, *grip)
             sheet = contact_sheet(cells, *titles, done=lambda: progress.advance(bar))
-            write_png(config.out / "contact_sheet.png", sheet)
+            with replacing(config.out / "contact_sheet.png") as temporary:
+                sheet.save(temporary, optimize=True)
     ordered = [rows[file.name] for file in files]
     settings = to_record(config) | {"span": grip[0], "friction": grip[1]}
     write_summary(config.out, ordered, settings, provenance(config.seed))

@@ -29,9 +29,10 @@ _CURVES = (  # column, title, factor
     ("force_n", "contact force per finger [N]", 1.0),
     ("steps_per_s", "environment steps per second", 1.0),
 )
-_BLUE, _ORANGE, _GREY = "#2563a8", "#c8641e", "#5b6470"
+_BLUE, _ORANGE = "#2563a8", "#c8641e"
+GREY = "#5b6470"
+"""Of words."""
 _MARKERS = (("o", _BLUE), ("D", "#2e8b57"), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
-_BELOW = (8.0, -12.0)
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
 
@@ -57,17 +58,17 @@ def training_curves(metrics: Metrics) -> bytes:
 
     A curve whose column is missing or holds no number says so in its place.
     """
-    figure = _figure(9.6, 5.6)
+    figure = new_figure(9.6, 5.6)
     axes = figure.subplots(2, 2, sharex=True)
     steps = metrics["env_steps"]
     for ax, (name, title, factor) in zip(axes.flat, _CURVES, strict=True):
-        _style(ax)
-        ax.set_title(title, loc="left", fontsize=10, color=_GREY)
+        style(ax)
+        ax.set_title(title, loc="left", fontsize=10, color=GREY)
         values = factor * metrics.get(name, np.full(len(steps), np.nan))
         known = np.isfinite(values) & np.isfinite(steps)
         if not known.any():
             why = "no whole episode ended" if name in metrics else "not recorded"
-            ax.text(0.5, 0.5, why, ha="center", color=_GREY, transform=ax.transAxes)
+            ax.text(0.5, 0.5, why, ha="center", color=GREY, transform=ax.transAxes)
             continue
         x, y = steps[known], values[known]
         ax.plot(x, y, color=_BLUE, alpha=0.25, linewidth=1)
@@ -80,34 +81,15 @@ def training_curves(metrics: Metrics) -> bytes:
         if name == "steps_per_s":
             ax.yaxis.set_major_formatter(EngFormatter(sep=""))
     for ax in axes[-1]:
-        ax.set_xlabel("environment steps", fontsize=9, color=_GREY)
-    return _png(figure)
+        ax.set_xlabel("environment steps", fontsize=9, color=GREY)
+    return png(figure)
 
 
-def success_against_force(columns: Sequence[Column]) -> bytes:
-    """Mean success against the mean contact force it took, one point per controller, as PNG.
+def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
+    """Mean success against the mean contact force it took, a panel per condition, as PNG.
 
-    Squeezes at several forces are joined to a front.
-
-    Raises:
-        InputError: No controller has a force.
-    """
-    points = _points(columns)
-    figure = _figure(6.0, 4.0)
-    ax = figure.subplots()
-    _front(ax, points, _BELOW)
-    for point in points:
-        if not point.is_squeeze:
-            _dot(ax, point, "o", _BLUE)
-            _name(ax, point, _BLUE, _BELOW)
-    ax.set_title("mean success over the objects [%]", loc="left", fontsize=10, color=_GREY)
-    return _png(figure)
-
-
-def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -> bytes:
-    """`success_against_force` for several conditions side by side, as PNG.
-
-    Policies of one label share a marker and a line in the legend.
+    Squeezes at several forces are joined to a front. Policies of one label share a marker and a
+    line in the legend. Controllers without a force are left out.
 
     Args:
         panels: Controllers by the condition's words.
@@ -120,23 +102,23 @@ def success_against_force_by_condition(panels: Mapping[str, Sequence[Column]]) -
     points = {title: _points(columns) for title, columns in panels.items()}
     labels = sorted({p.label for part in points.values() for p in part if not p.is_squeeze})
     looks = dict(zip(labels, itertools.cycle(_MARKERS)))
-    figure = _figure(4.2 * len(panels), 4.2)
+    figure = new_figure(4.2 * len(panels), 4.2)
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
-        _front(ax, [p._replace(label=p.label.removeprefix("squeeze ")) for p in part], (-17, 10))
+        _front(ax, [p for p in part if p.is_squeeze])
         for point in part:
             if not point.is_squeeze:
                 shown[point.label] = _dot(ax, point, *looks[point.label])
-        ax.set_title(title, loc="left", fontsize=10, color=_GREY)
+        ax.set_title(title, loc="left", fontsize=10, color=GREY)
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
-    grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=_GREY)
+    grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
     figure.legend(
         handles=[grid[0].lines[0], *(shown[label] for label in labels)],
-        labels=["squeeze, by the force commanded", *(f"policy, {label}" for label in labels)],
+        labels=["squeeze, by the force commanded", *labels],
         loc="outside lower center", ncols=4, frameon=False, fontsize=8,
     )  # fmt: skip
-    return _png(figure)
+    return png(figure)
 
 
 class _Point(NamedTuple):
@@ -165,17 +147,19 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
     return points
 
 
-def _front(ax: Axes, points: Sequence[_Point], at: tuple[float, float]) -> None:
-    """The squeezes, joined, with their names so far off them, and the axes."""
-    _style(ax)
-    squeezes = sorted(p for p in points if p.is_squeeze)
+def _front(ax: Axes, squeezes: Sequence[_Point]) -> None:
+    """The squeezes, joined, with their forces to their left and above, and the axes."""
+    style(ax)
+    squeezes = sorted(squeezes)
     ax.plot([p.force for p in squeezes], [p.mean for p in squeezes], color=_ORANGE, alpha=0.5)
     for point in squeezes:
         _dot(ax, point, "s", _ORANGE)
-        _name(ax, point, _ORANGE, at)
-    ax.set_xlim(0, 1.25 * max(p.force for p in points))
+        ax.annotate(
+            point.label.removeprefix("squeeze "), (point.force, point.mean), xytext=(-17, 10),
+            textcoords="offset points", color=_ORANGE, fontsize=9,
+        )  # fmt: skip
     ax.set_ylim(0, 103)
-    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=_GREY)
+    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
 
 
 def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer:
@@ -183,14 +167,6 @@ def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer
     return ax.errorbar(
         point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
         color=colour, capsize=3, markersize=7,
-    )  # fmt: skip
-
-
-def _name(ax: Axes, point: _Point, colour: str, at: tuple[float, float]) -> None:
-    """Writes the point's name, so many points of print to its right and above it."""
-    ax.annotate(
-        point.label, (point.force, point.mean), xytext=at, textcoords="offset points",
-        color=colour, fontsize=9,
     )  # fmt: skip
 
 
@@ -210,21 +186,24 @@ def _number(cell: str | None) -> float:
         return float("nan")
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of a size in inches, on white."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
-def _style(ax: Axes) -> None:
+def style(ax: Axes) -> None:
+    """Quiet axes: thin and grey, with lines across."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color("#c4cad2")
-    ax.tick_params(colors=_GREY, labelsize=8)
+    ax.tick_params(colors=GREY, labelsize=8)
     ax.grid(axis="y", color="#e6e9ee", linewidth=0.8)
     ax.set_axisbelow(True)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """A figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130)
     return buffer.getvalue()

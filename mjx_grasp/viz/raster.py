@@ -1,14 +1,13 @@
-"""A small z-buffer rasteriser in NumPy: pictures of meshes without any graphics library."""
+"""Pictures of meshes without any graphics library: what each pixel of a camera sees."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-
-_PAIRS = 2_000_000  # pixel-triangle pairs held in memory at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,57 +82,31 @@ def fitted(
 def rasterise(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Orthographic
 ) -> Fragments:
-    """The nearest face in each pixel, by a z-buffer at pixel centres; both sides are drawn."""
-    corners = camera.project(np.asarray(vertices, np.float64))[faces]
-    size = np.array([camera.width, camera.height])
-    # Pixels whose centres k + 0.5 lie in the triangle's box.
-    low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0, size).astype(np.int64)
-    high = np.clip(np.floor(corners[:, :, :2].max(axis=1) - 0.5) + 1, 0, size).astype(np.int64)
-    span = np.maximum(high - low, 0)
-    pairs = span[:, 0] * span[:, 1]
-    face = np.full(camera.width * camera.height, -1, np.int64)
-    weights = np.zeros((len(face), 3))
-    near = np.full(len(face), -np.inf)
-    total = np.cumsum(pairs)
-    start = 0
-    while start < len(faces):
-        done = total[start - 1] if start else 0
-        stop = max(int(np.searchsorted(total, done + _PAIRS, side="right")), start + 1)
-        _draw(np.arange(start, stop), corners, low, span, camera.width, face, weights, near)
-        start = stop
+    """The nearest face in each pixel, by a ray through its centre; both sides are seen."""
+    # Warp takes half a second to import.
+    from mjx_grasp.geometry.bvh import MeshTrees
+
+    corners = camera.project(np.asarray(vertices, np.float64))
+    # In the camera's frame, from below: the farthest face on a ray is the nearest to the viewer.
+    bottom = corners[:, 2].min() - 1.0 / camera.pixels_per_metre
+    points = np.column_stack([corners[:, :2] / camera.pixels_per_metre, corners[:, 2] - bottom])
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    origins = np.column_stack([pixels / camera.pixels_per_metre, np.zeros(len(pixels))])
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), origins.shape)
+    trees = MeshTrees([points.astype(np.float32)], [np.asarray(faces)])
+    rays = jnp.zeros(len(pixels), jnp.int32), jnp.asarray(origins, jnp.float32), jnp.asarray(up)
+    face = np.asarray(trees.farthest_faces(*rays), np.int64)
+    a, b, c = (corners[faces[face, k]] for k in range(3))
+    share = np.stack([_twice(b, c, pixels), _twice(c, a, pixels), _twice(a, b, pixels)], axis=1)
+    seen = face >= 0
+    weights = share / np.where(seen, share.sum(axis=1), 1.0)[:, None] * seen[:, None]
+    height = np.stack([a[:, 2], b[:, 2], c[:, 2]], axis=1)
+    near = np.where(seen, (weights * height).sum(axis=1), -np.inf)
     shape = (camera.height, camera.width)
     return Fragments(face.reshape(shape), weights.reshape(*shape, 3), near.reshape(shape))
 
 
-def _draw(
-    which: Int[np.ndarray, " d"],
-    corners: Float[np.ndarray, "f 3 3"],
-    low: Int[np.ndarray, "f 2"],
-    span: Int[np.ndarray, "f 2"],
-    width: int,
-    face: Int[np.ndarray, " pixels"],
-    weights: Float[np.ndarray, "pixels 3"],
-    near: Float[np.ndarray, " pixels"],
-) -> None:
-    """Draws some faces into the flat buffers."""
-    count = span[which, 0] * span[which, 1]
-    index = np.repeat(which, count)
-    local = np.arange(len(index)) - np.repeat(np.cumsum(count) - count, count)
-    x = low[index, 0] + local % span[index, 0]
-    y = low[index, 1] + local // span[index, 0]
-    a, b, c = (corners[index, k] for k in range(3))
-    px, py = x + 0.5, y + 0.5
-
-    def area(p: np.ndarray, q: np.ndarray, rx: np.ndarray, ry: np.ndarray) -> np.ndarray:
-        return (q[:, 0] - p[:, 0]) * (ry - p[:, 1]) - (q[:, 1] - p[:, 1]) * (rx - p[:, 0])
-
-    twice = area(a, b, c[:, 0], c[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.stack([area(b, c, px, py), area(c, a, px, py)], axis=1) / twice[:, None]
-        share = np.column_stack([share, 1.0 - share.sum(axis=1)])
-    keep = np.flatnonzero((share >= 0.0).all(axis=1))  # not so where a face is seen edge-on: NaN
-    share, index, pixel = share[keep], index[keep], (y * width + x)[keep]
-    height = (share * corners[index, :, 2]).sum(axis=1)
-    np.maximum.at(near, pixel, height)
-    front = height == near[pixel]
-    face[pixel[front]], weights[pixel[front]] = index[front], share[front]
+def _twice(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Twice the signed areas of triangles in the picture."""
+    return (q[:, 0] - p[:, 0]) * (r[:, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (r[:, 0] - p[:, 0])

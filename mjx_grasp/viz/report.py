@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
@@ -24,25 +25,6 @@ from mjx_grasp.evaluation.tables import (
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
 from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
-
-_STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#1f2630;background:#f4f6f8;margin:0}
-main{max-width:64rem;margin:2rem auto;padding:1.5rem 2.2rem 2.5rem;background:#fff;
-border:1px solid #dfe3e8;border-radius:8px}
-h1{font-size:1.5rem;margin:.2rem 0}h2{font-size:1.1rem;margin:2.2rem 0 .6rem}
-p.lead,caption{color:#5b6470}img,video{max-width:100%;border-radius:6px}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.8rem 0 1.4rem;
-display:block;overflow-x:auto}
-caption{text-align:left;padding-bottom:.4rem;font-size:.9rem}
-th,td{padding:.28rem .6rem;text-align:right;border-bottom:1px solid #e6e9ee;white-space:nowrap}
-th:first-child,td:first-child{text-align:left}
-th,td:first-child{white-space:normal}
-th{font-weight:600;background:#f4f6f8;vertical-align:bottom}
-tr.summary td{font-weight:600;border-bottom:0}
-.note{background:#fff6e5;border:1px solid #f0d9a8;border-radius:6px;padding:.7rem 1rem}
-pre{background:#f4f6f8;border-radius:6px;padding:.8rem 1rem;overflow-x:auto;font-size:.82rem}
-summary{cursor:pointer;color:#2563a8}
-"""
 
 
 def write_report(
@@ -77,10 +59,11 @@ def write_report(
         _section("Configuration", _facts(_stored(run / "config.json"), "config.json")),
         _section("Provenance", _facts(provenance, "provenance.json")),
     ]
+    style = asset_path("report.css").read_text()
     page = (
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width'>"
-        f"<title>mjx_grasp: {html.escape(run.name)}</title><style>{_STYLE}</style></head>"
+        f"<title>mjx_grasp: {html.escape(run.name)}</title><style>{style}</style></head>"
         f"<body><main><h1>Training {html.escape(run.name)}</h1>"
         f"<p class='lead'>{html.escape(_lead(provenance))}</p>{''.join(sections)}"
         "</main></body></html>\n"
@@ -138,7 +121,7 @@ def _results(paths: Sequence[str | Path]) -> str:
     for condition, columns in groups.items():
         parts.append(condition_table(condition, columns).html())
         if any(force is not None for c in columns for force in c.forces()):
-            plot = success_against_force(columns)
+            plot = success_against_force({condition.short(): columns})
             parts.append(_image(plot, "mean success against mean contact force"))
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
         parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import ArrayLike
 
-from mjx_grasp.heatmap import Heatmap
 from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.heatmap.nearness import steer_to
 from mjx_grasp.heatmap.sampling import Triples, sample_triples
+from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.records.settings import Finite, Positive, Range, Settings
 
 MOST_TRIPLES = 8

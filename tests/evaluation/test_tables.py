@@ -1,5 +1,7 @@
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.results import ResultRow, Results, ThroughputRow, write_results
+from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import (
     condition_table,
@@ -16,7 +18,6 @@ from mjx_grasp.evaluation.tables import (
     paired_table,
     read_groups,
     success_table,
-    throughput_table,
 )
 from mjx_grasp.records.table import Table
 from mjx_grasp.robot.identity import FIRST_ROBOT
@@ -162,10 +163,11 @@ def test_one_table_shows_one_condition():
         success_table([*eight(9), *eight(9, offset_mm=10.0)])
 
 
-def test_the_three_layouts_hold_the_same_cells():
+def test_the_three_layouts_hold_the_same_cells(monkeypatch):
     table = replace(success_table([*eight(9), *eight(5, 3.0)]), title="a < b & c")
 
-    lines = table.markdown().splitlines()
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "experiments")
+    lines = import_module("stage_tables").markdown(table).splitlines()
     found = [[c.strip(" *") for c in line.strip("|").split("|")] for line in lines]
     assert tuple(found[0]) == table.header
     assert [tuple(r) for r in found[2:]] == list(table.rows)
@@ -193,10 +195,3 @@ def test_the_three_layouts_hold_the_same_cells():
 
     text = "".join(segment.text for segment in Console(width=200).render(table))
     assert all(cell in text for r in table.rows for cell in r)
-
-
-def test_throughput_is_sorted_by_worlds():
-    rows = tuple(ThroughputRow("ppo", "mjx", w, 24, 30.0 * w, 1.5) for w in (8192, 1024))
-    table = throughput_table([Results(rows, PROVENANCE, {})])
-    assert [r[3:] for r in table.rows] == [("1,024", "30,720", "1.5"), ("8,192", "245,760", "1.5")]
-    assert {r[0] for r in table.rows} == {"a card"}

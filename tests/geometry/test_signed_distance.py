@@ -15,7 +15,6 @@ from mjx_grasp.geometry.mesh import is_closed
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import (
     Box,
-    Capsule,
     Cylinder,
     Sphere,
     distance_and_normal,
@@ -25,11 +24,6 @@ from mjx_grasp.objects.parametric import stand_in
 
 SHAPES = {
     "sphere": (Sphere(jnp.float32(0.03)), lambda: trimesh.creation.icosphere(5, 0.03), 1e-4),
-    "capsule": (
-        Capsule(jnp.float32(0.02), jnp.float32(0.05)),
-        lambda: trimesh.creation.capsule(height=0.1, radius=0.02, count=[128, 128]),
-        1e-4,
-    ),
     "cylinder": (
         Cylinder(jnp.float32(0.03), jnp.float32(0.06)),
         lambda: trimesh.creation.cylinder(radius=0.03, height=0.12, sections=256),

@@ -10,16 +10,12 @@ import trimesh
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
-from mjx_grasp.grasp import (
-    NONE,
-    HandPose,
-    SelectionConfig,
-    cylinder_candidates,
-    from_heatmap,
-    select,
-    start_selection,
-)
-from mjx_grasp.heatmap import compute_heatmap, steer
+from mjx_grasp.grasp.candidates import cylinder_candidates, from_heatmap
+from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.select import HandPose, select, start_selection
+from mjx_grasp.grasp.targets import NONE
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.steering import steer
 
 CONFIG = SelectionConfig()
 SPAN = (0.02, 0.09)

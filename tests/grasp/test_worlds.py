@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 from mjx_grasp.geometry import so3
-from mjx_grasp.grasp import (
-    NONE,
-    HandPose,
-    SelectionConfig,
-    from_heatmap,
-    select,
-    start_selection,
-)
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.grasp.candidates import from_heatmap
+from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.select import HandPose, select, start_selection
+from mjx_grasp.grasp.targets import NONE
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.objects.parametric import stand_in
 
 CONFIG = SelectionConfig()

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mjx_grasp.heatmap import Heatmap
 from mjx_grasp.heatmap.files import TERMS
+from mjx_grasp.heatmap.steering import Heatmap
 
 
 def made_up(score, thumb=None, valid=None, seed=0):

@@ -11,8 +11,9 @@ import trimesh
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import tiles
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, compute_heatmaps
 from mjx_grasp.heatmap.backends import backend_for
+from mjx_grasp.heatmap.compute import compute_heatmap, compute_heatmaps
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.meshes import centred, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 
@@ -66,7 +67,7 @@ def test_backends_agree_where_few_faces_are_near():
 @pytest.mark.skipif("MJX_GRASP_SCANS" not in os.environ, reason="scans may not be committed")
 def test_backends_agree_on_every_scan():
     files = sorted(Path(os.environ["MJX_GRASP_SCANS"]).glob("*.obj"))
-    meshes = [centred(read_mesh(file)[0]) for file in files]
+    meshes = [centred(read_mesh(file)) for file in files]
     for file, bvh, brute in zip(files, by("bvh", *meshes), by("brute", *meshes), strict=True):
         scores, contacts = agreement(bvh, brute)
         assert scores >= 0.999 and contacts >= 0.999, file.name

@@ -8,9 +8,10 @@ from forging import rewrite
 from made_up import made_up
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.heatmap import compute_heatmap, steer
 from mjx_grasp.heatmap.colours import VOID, score_colours
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import TERMS, HeatmapInfo, load_heatmap, save_heatmap, write_ply
+from mjx_grasp.heatmap.steering import steer
 
 INFO = HeatmapInfo("thing", (0.02, 0.09), 0.5, (0.0, 0.001, 0.0), (0.01, 0.0, 0.02), 0.03)
 DOCUMENTED = {
@@ -152,8 +153,8 @@ def test_trimesh_reads_the_coloured_mesh(tmp_path):
 def test_steered_scores_colour_the_mesh_instead(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.03)
     heatmap = made_up(np.zeros(len(mesh.vertices)), mesh.vertices)
-    steered = np.full(len(mesh.vertices), 0.25)
-    write_ply(tmp_path / "a.ply", heatmap, mesh.faces, steered, top=0.5)
+    steered = heatmap._replace(score=np.full(len(mesh.vertices), 0.5))
+    write_ply(tmp_path / "a.ply", steered, mesh.faces)
     read = trimesh.load(tmp_path / "a.ply", process=False)
     half = score_colours(np.array([0.5]))[0]
     assert np.all(read.visual.vertex_colors[:, :3] == half)

@@ -6,7 +6,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, steer, steer_many
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.steering import steer, steer_many
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 TERMS = {"width", "thumb", "wrap", "coherence", "com", "separation"}

@@ -3,8 +3,7 @@ import numpy as np
 import pytest
 from made_up import made_up
 
-from mjx_grasp.heatmap import steer
-from mjx_grasp.heatmap.nearness import steer_near
+from mjx_grasp.heatmap.steering import steer, steer_near
 
 HEATMAP = made_up(np.full(50, 0.81), seed=3)
 

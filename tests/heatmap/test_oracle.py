@@ -9,7 +9,8 @@ import oracle
 import pytest
 import trimesh
 
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.meshes import centred, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 
@@ -80,6 +81,6 @@ def test_scores_of_every_scan_are_those_of_the_oracle(backend):
     files = sorted(Path(os.environ["MJX_GRASP_SCANS"]).glob("*.obj"))
     assert files
     for file in files:
-        mesh = centred(read_mesh(file)[0])
+        mesh = centred(read_mesh(file))
         found = agreement.compare(heatmap_of_mesh(mesh, backend), oracle.heatmap(mesh))
         assert found.share >= 0.999 and not found.unexplained, (file.name, found)

@@ -32,13 +32,24 @@ XML = """
 """
 
 
+def camera_of(model, data, name, width, height):
+    """A camera of a model: MuJoCo's looks along its −z with y up, ours along z with y down.
+
+    The depth that MuJoCo renders is metric and along the optical axis, as a view's is.
+    """
+    camera, fovy = data.cam(name), float(np.radians(model.cam(name).fovy[0]))
+    axes = camera.xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+    focal, middle = 0.5 * height / np.tan(0.5 * fovy), (0.5 * width, 0.5 * height)
+    return PinholeCamera(width, height, focal, focal, *middle, axes, np.array(camera.xpos))
+
+
 def main(name, out):
     mesh = stand_in(name)
     data = mesh.export(file_type="obj", include_normals=False).encode()
     model = mujoco.MjModel.from_xml_string(XML, {"object.obj": data})
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)
-    camera = PinholeCamera.from_mujoco(model, state, "eye", WIDTH, HEIGHT)
+    camera = camera_of(model, state, "eye", WIDTH, HEIGHT)
     with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
         renderer.update_scene(state, "eye")
         image = renderer.render().copy()

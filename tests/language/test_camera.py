@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from render_scene import camera_of
 from scipy.spatial.transform import Rotation
 
 from mjx_grasp.errors import InputError
@@ -34,8 +35,8 @@ def test_depth_is_along_the_axis_and_not_along_the_ray(seed, x, y):
 
 
 def test_axes_are_right_down_forward():
-    eye = PinholeCamera.from_fovy(640, 480, np.radians(60), np.eye(3), np.zeros(3))
-    assert eye.cx == 320 and eye.cy == 240 and eye.fx == eye.fy
+    focal = 240 / np.tan(np.radians(30))
+    eye = PinholeCamera(640, 480, focal, focal, 320.0, 240.0, np.eye(3), np.zeros(3))
     half_height = 2.0 * np.tan(np.radians(30))
     pixel, depth = eye.project(np.array([[0, half_height, 2.0], [0.1, 0, 2.0], [0, 0, 1.0]]))
     assert np.allclose(pixel[0], [320, 480])
@@ -51,11 +52,11 @@ def test_a_mujoco_camera_looks_where_mujoco_says():
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    down = PinholeCamera.from_mujoco(model, data, "down", 320, 200)
+    down = camera_of(model, data, "down", 320, 200)
     pixel, depth = down.project(np.array([[0.2, 0.1, 0.5], [0.3, 0.2, 0.5]]))
     assert np.allclose(pixel[0], [160, 100]) and depth[0] == pytest.approx(1.0)
     assert pixel[1, 0] > 160 and pixel[1, 1] < 100, "x to the right, y up in the picture"
-    side = PinholeCamera.from_mujoco(model, data, "side", 320, 200)
+    side = camera_of(model, data, "side", 320, 200)
     pixel, depth = side.project(np.array([0.0, 0.0, 0.5]))
     assert np.allclose(pixel, [160, 100]) and depth == pytest.approx(1.0)
 

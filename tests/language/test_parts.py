@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mjx_grasp.language import GroundingError, PartGrounder
-from mjx_grasp.language.grounding import target_of
+from mjx_grasp.language.grounding import GroundingError, target_of
+from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.parametric import stand_in
 

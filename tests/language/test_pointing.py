@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mjx_grasp.language import GroundingError, Target, View
 from mjx_grasp.language.camera import PinholeCamera
+from mjx_grasp.language.grounding import GroundingError, Target, View
 from mjx_grasp.language.pointing import along_ray, anchor_at, depth_at
 
 SCENE = Path(__file__).with_name("render_scene.py")

@@ -6,9 +6,9 @@ import pytest
 import trimesh
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.language import GroundingError, RexOmniConfig, RexOmniGrounder, Target, View
 from mjx_grasp.language.camera import PinholeCamera
-from mjx_grasp.language.rex_omni import build_prompt, parse_points
+from mjx_grasp.language.grounding import GroundingError, Target, View
+from mjx_grasp.language.rex_omni import RexOmniConfig, RexOmniGrounder, build_prompt, parse_points
 
 
 def answer(*contents, phrase="handle of the mug"):

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mjx_grasp.heatmap import HeatmapConfig, compute_heatmap, compute_heatmaps, steer, steer_many
 from mjx_grasp.heatmap import scores as terms
-from mjx_grasp.heatmap.steering import weigh
+from mjx_grasp.heatmap.compute import compute_heatmap, compute_heatmaps
+from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.heatmap.steering import steer, steer_many, weigh
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 seeds = st.integers(0, 10_000)

@@ -8,7 +8,7 @@ def reacher(body):
     """The published controller with few via-points, for speed."""
     from dataclasses import replace
 
-    from mjx_grasp.grasp import SelectionConfig
+    from mjx_grasp.grasp.config import SelectionConfig
     from mjx_grasp.reaching.config import ReachConfig
     from mjx_grasp.reaching.controller import Reacher
 

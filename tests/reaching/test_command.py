@@ -7,7 +7,7 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import cylinder_candidates
+from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings

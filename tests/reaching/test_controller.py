@@ -11,8 +11,8 @@ import trimesh
 
 from mjx_grasp.geometry.distance_field import distance_field
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import cylinder_candidates, from_heatmap
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.grasp.candidates import cylinder_candidates, from_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.config import StartConfig

@@ -10,10 +10,10 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp import cylinder_candidates
+from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
-from mjx_grasp.reaching.planning import Planner, plan_again, start_library
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 
 # Long runs compute as much as they compile: a little more of XLA's work than in the other tests.
@@ -25,6 +25,21 @@ SHAPES = np.array([[0.03, 0.06], [0.035, 0.05], [0.03, 0.08]], np.float32)
 CENTRES = np.array([[0.5, -0.15, 0.06], [0.45, -0.1, 0.035], [0.6, -0.12, 0.08]], np.float32)
 LYING = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]], np.float32)
 ROTATIONS = np.stack([np.eye(3, dtype=np.float32), LYING, np.eye(3, dtype=np.float32)])
+
+
+def plan_again(reacher, search, state, plans, *situation):
+    """New plans for those of a batch of reaches whose own no longer fit; nothing while all do."""
+
+    def renewed():
+        found = jax.vmap(search)(*situation)
+        adopted = jax.vmap(reacher.adopt)(state, found)
+
+        def chosen(new, old):
+            return jnp.where(state.stale.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        return jax.tree.map(chosen, (adopted, found), (state, plans))
+
+    return jax.lax.cond(jnp.any(state.stale), renewed, lambda: (state, plans))
 
 
 def _pose(scenario, p, R, tick):

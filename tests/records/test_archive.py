@@ -297,5 +297,7 @@ def test_there_is_no_other_way_to_write_and_read_such_files():
         for path in package.rglob("*.py")
         if uses.search(path.read_text())
     }
-    # What is made again when it cannot be read, and what is written for people to look into.
-    assert found == {"records/archive.py", "objects/model.py", "learning/run.py"}
+    # What is made again when it cannot be read, what is shipped, and what is written for people to
+    # look into.
+    others = {"objects/model.py", "objects/parametric.py", "learning/run.py"}
+    assert found == {"records/archive.py"} | others

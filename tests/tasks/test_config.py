@@ -162,9 +162,9 @@ def test_a_flat_task_has_to_be_whole(name):
         ({"grip_power": 2.0}, "^task: found 'grip_power'.*alone"),
         ({"grip": {"power": 2.0}}, r"^task\.grip: found 'power'.*GripConfig alone"),
         ({"grip": 2.0}, r"^task\.grip: found 2\.0, expected the fields of GripConfig"),
-        ({"grip": {"force": -1.0}}, r"^GripConfig\.force: found -1\.0"),
+        ({"grip": {"force": -1.0}}, r"^task\.grip\.force: found -1\.0"),
         pytest.param(
-            *(FIRST | {"contact_ticks": 2.5}, r"^ObserverConfig\.contact_ticks: found 2\.5.*whole"),
+            *(FIRST | {"contact_ticks": 2.5}, r"^task\.observer\.contact_ticks: found 2\.5.*whole"),
             marks=pytest.mark.wrong_types,
         ),
         (FIRST | {"lift_ramp_s": 1.1}, r"^LiftConfig\.ramp_s: found 1\.1"),

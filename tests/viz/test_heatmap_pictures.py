@@ -1,12 +1,10 @@
-import jax
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.colours import VOID, score_colours
-from mjx_grasp.viz.contact_sheet import Cell, contact_sheet, write_png
+from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import ANCHOR, THUMB, WRAP, Subject, best_axes, draw
 from mjx_grasp.viz.raster import look_from
 
@@ -101,19 +99,3 @@ def test_a_sheet_has_a_place_for_everything():
 def test_many_cells_become_smaller_instead_of_enormous(monkeypatch):
     monkeypatch.setattr("mjx_grasp.viz.contact_sheet._MOST_PIXELS", 600)
     assert max(sheet_of(30).size) < 1200
-
-
-def test_a_png_is_reduced_to_the_size_asked_for_or_refused(tmp_path):
-    noise = np.asarray(jax.random.randint(jax.random.key(0), (90, 90, 3), 0, 256), np.uint8)
-    sheet = Image.fromarray(noise)
-    write_png(tmp_path / "all.png", sheet)
-    full = (tmp_path / "all.png").stat().st_size
-    assert np.array_equal(np.asarray(Image.open(tmp_path / "all.png")), noise)
-    write_png(tmp_path / "less.png", sheet, 3 * full // 4)
-    assert (tmp_path / "less.png").stat().st_size <= 3 * full // 4
-    less = np.asarray(Image.open(tmp_path / "less.png"))
-    assert 0 < np.abs(less.astype(int) - noise).max() <= 4
-    assert np.all(less[noise == 255] == 255)
-    with pytest.raises(InputError, match="max_bytes"):
-        write_png(tmp_path / "none.png", sheet, 200)
-    assert not (tmp_path / "none.png").exists()

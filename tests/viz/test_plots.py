@@ -8,12 +8,7 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import Column
-from mjx_grasp.viz.plots import (
-    read_metrics,
-    success_against_force,
-    success_against_force_by_condition,
-    training_curves,
-)
+from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
 
 BLUE, ORANGE = (37, 99, 168), (200, 100, 30)
 
@@ -73,9 +68,16 @@ def test_one_row_is_visible():
 def test_points_lie_by_force_and_success():
     picture = pixels(
         success_against_force(
-            [column("policy", 60, 2.0), column("s", 20, 1.0, 3.0), column("s", 62, 4.0, 8.0)]
+            {
+                "easy": [
+                    column("policy", 60, 2.0),
+                    column("s", 20, 1.0, 3.0),
+                    column("s", 62, 4.0, 8.0),
+                ]
+            }
         )
     )
+    picture = picture[: int(0.85 * len(picture))]  # without the legend
     policy_rows, policy_columns = np.nonzero(of_colour(picture, BLUE))
     squeeze_rows, squeeze_columns = np.nonzero(of_colour(picture, ORANGE))
     assert squeeze_columns.min() < policy_columns.min() < squeeze_columns.max()
@@ -83,10 +85,10 @@ def test_points_lie_by_force_and_success():
 
 
 def test_controllers_without_a_force_are_left_out():
-    with_one = success_against_force([column("p", 60, 2.0), column("q", 0, None)])
-    assert with_one == success_against_force([column("p", 60, 2.0)])
+    with_one = success_against_force({"easy": [column("p", 60, 2.0), column("q", 0, None)]})
+    assert with_one == success_against_force({"easy": [column("p", 60, 2.0)]})
     with pytest.raises(InputError, match="force"):
-        success_against_force([column("q", 0, None)])
+        success_against_force({"easy": [column("q", 0, None)]})
 
 
 def test_conditions_stand_side_by_side_and_policies_share_their_label():
@@ -94,7 +96,7 @@ def test_conditions_stand_side_by_side_and_policies_share_their_label():
     policies = [column("few worlds", 60, 2.0), column("many worlds", 50, 3.0)]
     one = {"easy": [*front, *policies]}
     two = one | {"hard": [*front, column("many worlds", 40, 3.0)]}
-    first, both = (pixels(success_against_force_by_condition(p)) for p in (one, two))
+    first, both = (pixels(success_against_force(p)) for p in (one, two))
     assert both.shape[0] == first.shape[0] and both.shape[1] == pytest.approx(
         2 * first.shape[1], rel=0.01
     )
@@ -104,4 +106,4 @@ def test_conditions_stand_side_by_side_and_policies_share_their_label():
     assert of_colour(both, BLUE).any() and not of_colour(right, BLUE).any()
     assert of_colour(right, green).any() and of_colour(right, ORANGE).any()
     with pytest.raises(InputError, match="panels"):
-        success_against_force_by_condition({})
+        success_against_force({})

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from mjx_grasp.viz import raster
 from mjx_grasp.viz.raster import Orthographic, fitted, look_from, rasterise
 
 DOWN = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])  # the viewer is above, x to the right
@@ -64,15 +63,6 @@ def test_neighbours_leave_no_gap_and_slivers_and_outsiders_no_trace():
     assert (seen.face >= 0).sum() == 40 * 40
     assert set(np.unique(seen.face)) == {-1, 0, 1}
     assert (rasterise(square + np.array([1.0, 0, 0]), faces, camera()).face == -1).all()
-
-
-def test_large_pictures_are_drawn_in_pieces_alike(monkeypatch):
-    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
-    whole = rasterise(mesh.vertices, mesh.faces, camera())
-    monkeypatch.setattr(raster, "_PAIRS", 300)
-    pieces = rasterise(mesh.vertices, mesh.faces, camera())
-    assert np.array_equal(whole.face, pieces.face)
-    assert np.allclose(whole.near, pieces.near)
 
 
 def test_a_fitted_camera_shows_everything_and_fills_the_picture():

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from PIL import Image
 
 from mjx_grasp.evaluation.reach.results import FAILURES
 
+ROOT = Path(__file__).resolve().parents[2]
+PATHS = {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'experiments'}"}
 SIZE, CAPTION, PER_CLASS = 320, 18, 2
 # A process of its own, for MUJOCO_GL is read when MuJoCo is imported.
 SCRIPT = """
@@ -21,11 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from mjx_grasp.posture.body import robot_body
-from mjx_grasp.viz.reach import failure_gallery
 from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.sweep import empty_record
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.viz.frames import BackendError, check_backend
+from mjx_grasp.viz.frames import BackendError
+from renderer import check_backend
+from reach_failures import failure_gallery
 
 try:
     check_backend()
@@ -55,7 +59,7 @@ def _drawn(path, classes):
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, "MUJOCO_GL": "egl", "JAX_PLATFORMS": "cpu"},
+        env={**os.environ, "MUJOCO_GL": "egl", "JAX_PLATFORMS": "cpu"} | PATHS,
     )
     if done.returncode == 77 and not os.environ.get("MJX_GRASP_REQUIRE_RENDERER"):
         pytest.skip(done.stderr)

@@ -17,7 +17,7 @@ from PIL import Image
 from typed import refusal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
 from mjx_grasp.language.camera import PinholeCamera
 from mjx_grasp.language.grounding import target_of
@@ -121,7 +121,9 @@ def on_screen(viewer, point):
     right = np.cross(forward, np.asarray(client.camera.up_direction))
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    camera = PinholeCamera.from_fovy(SIZE["width"], SIZE["height"], client.camera.fov, axes, eye)
+    width, height = SIZE["width"], SIZE["height"]
+    focal = 0.5 * height / np.tan(0.5 * client.camera.fov)
+    camera = PinholeCamera(width, height, focal, focal, 0.5 * width, 0.5 * height, axes, eye)
     return camera.project(np.asarray(point))[0]
 
 

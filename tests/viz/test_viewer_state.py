@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap import Heatmap, steer
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.files import TERMS
+from mjx_grasp.heatmap.steering import Heatmap, steer
 from mjx_grasp.viz.viewer_state import ViewerSettings, show
 
 

@@ -1,19 +1,51 @@
-"""The randomised cylinders of the reach sweep (method §3): the distribution, fixed."""
+"""What a reach sweep is asked for, and its randomised cylinders (method §3)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_grasp.records.settings import Interval, Positive, Settings, Several
+from mjx_grasp.records.settings import (
+    CommandSettings,
+    Count,
+    Interval,
+    Positive,
+    Seed,
+    Settings,
+    Several,
+    Suffix,
+)
 
 TUNING_SEEDS = (1, 2, 3, 2752)
 """Poses on which settings were chosen or faults were found; results that count come from others."""
 Lengths = Annotated[tuple[Positive, Positive], Several(ascending=True)]
 """A shortest and a longest length [m]."""
+
+
+@dataclass(frozen=True)
+class SweepConfig(CommandSettings):
+    """What to sweep, and what to write."""
+
+    poses: Count = 2752
+    """randomised cylinder poses [-]"""
+    seed: Seed = 20
+    """of the poses; 1, 2, 3 and 2752 were used to choose settings"""
+    preset: str = "default"
+    """paper, standoffs, escape, reachability, guide, straight, clearance or default"""
+    robot: str = "rizon4_hx5d20"
+    """name or description file of the robot"""
+    bound: bool = True
+    """also report the share of poses for which a solution exists at all"""
+    chunk: Count | None = None
+    """poses worked on at once; by default 128 on a CPU, all of them on an accelerator [-]"""
+    out: Annotated[Path, Suffix((".json",))] | None = None
+    """results file to write (.json)"""
+    plot: Annotated[Path, Suffix((".png",))] | None = None
+    """plot to write (.png)"""
 
 
 @dataclass(frozen=True)
@@ -45,17 +77,14 @@ class CylinderPoses(NamedTuple):
     """on its side, else upright"""
 
 
-def draw_poses(
-    count: int, seed: int, distribution: PoseDistribution | None = None
-) -> CylinderPoses:
+def draw_poses(count: int, seed: int) -> CylinderPoses:
     """Random cylinders: sizes, xy and yaw uniform; every other one upright, the rest lying.
 
     Args:
         count: How many.
         seed: Of the draw; the first poses of a longer draw are those of a shorter one.
-        distribution: Ranges.
     """
-    d = distribution or PoseDistribution()
+    d = PoseDistribution()
     ranges = np.array([d.radius, d.height, d.x, d.y, (-np.pi, np.pi)])
     unit = np.random.default_rng(seed).random((count, len(ranges)))
     radius, height, x, y, yaw = (ranges[:, 0] + unit * np.ptp(ranges, axis=1)).T

@@ -66,8 +66,6 @@ class ReachRecord(NamedTuple):
     """ticks without a solution"""
     ticks: Int[Array, ""]
     """ticks until the end"""
-    last_error: Float[Array, " 3"]
-    """tip errors at the end [m]"""
     last_object: Float[Array, ""]
     """of robot and object at the end, over what is asked for [m]"""
     last_table: Float[Array, ""]
@@ -215,35 +213,23 @@ def _begin(reacher: Reacher, problem: Problem) -> _Reached:
 
 
 def empty_record(joints: int) -> ReachRecord:
-    """Before the first tick."""
-    many = jnp.full(len(TOLERANCES), jnp.inf)
-    nan, inf, none = jnp.full(3, jnp.nan), jnp.float32(jnp.inf), jnp.zeros(joints)
-    return ReachRecord(
+    """Before the first tick: infinite, but for what is no least of all ticks."""
+    many, nan = jnp.full(len(TOLERANCES), jnp.inf), jnp.full(3, jnp.nan)
+    return ReachRecord(*[jnp.float32(jnp.inf)] * len(ReachRecord._fields))._replace(
         fine_time=many,
         clock=many,
-        near=inf,
         plans_left=jnp.int32(0),
         handoff_error=nan,
         handoff_contact=nan,
         handoff_midpoint=jnp.float32(jnp.nan),
         handoff_time=jnp.float32(jnp.nan),
-        start_distance=inf,
         been_clear=jnp.asarray(False),
-        object_distance=inf,
-        table_margin=inf,
-        finger_distance=inf,
-        arm_distance=inf,
         speed_ratio=jnp.float32(0.0),
         limit_excess=jnp.float32(0.0),
         infeasible=jnp.int32(0),
         ticks=jnp.int32(0),
-        last_error=nan,
-        last_object=inf,
-        last_table=inf,
-        last_finger=inf,
-        q=none,
-        best_q=none,
-        best_error=inf,
+        q=jnp.zeros(joints),
+        best_q=jnp.zeros(joints),
     )
 
 
@@ -330,7 +316,6 @@ def recorded(
         limit_excess=jnp.maximum(record.limit_excess, jnp.max(beyond)),
         infeasible=state.infeasible,
         ticks=record.ticks + 1,
-        last_error=report.error,
         last_object=report.object_distance - limits.clearances.object,
         last_table=report.table_margin,
         last_finger=report.finger_distance - limits.clearances.fingers,

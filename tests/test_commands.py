@@ -128,6 +128,26 @@ def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
     assert results.extra["sha256"] == {"handoffs": handoffs}
 
 
+def test_evaluate_runs_a_grip_that_feels_in_a_poor_robot(trained, tmp_path):
+    out = tmp_path / "grip.json"
+    done = command(
+        *("evaluate", "--controller", "grip", "--grip.friction", "0.5", "--objects", "foam_brick"),
+        *("--episodes", "3", "--handoffs", trained / "handoffs.npz", "--states", "all"),
+        *("--mass-scale", "1.5", "--robot-errors.torque-std", "0.01", "--out", out),
+    )
+    assert done.returncode == 0, done.stderr
+    results = read_results(out)
+    (row,) = results.rows
+    assert (row.controller, row.squeeze_force_n, row.mass_scale) == ("grip", None, 1.5)
+    assert (row.grip_force_n, row.grip_friction) == (2.5, 0.5)
+    assert len(row.forces_n) == len(row.starts) == 3
+    lifted = [force for force in row.forces_n if force is not None]
+    if lifted:
+        assert abs(sum(lifted) / len(lifted) - row.force_mean_n) < 1e-2
+        assert row.force_peak_p50_n <= row.force_peak_p99_n <= row.force_peak_n
+    assert results.extra["settings"]["robot_errors"]["torque_std"] == 0.01
+
+
 def test_evaluate_refuses_before_anything_long(trained, tmp_path, monkeypatch, capsys):
     out = tmp_path / "x.json"
     for arguments, text in (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.records.settings import CommandSettings, Count, NonNegative, Positive, Range, Seed
 from mjx_grasp.tasks.assemble import Engine
-from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, StartNoise
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,9 @@ class EvaluateConfig(CommandSettings):
 
     out: Path
     """results file (.json)"""
-    controller: Literal["policy", "squeeze"] = "policy"
-    """the trained policy, or the model-based command alone with --squeeze-force"""
+    controller: Literal["policy", "squeeze", "grip"] = "policy"
+    """the trained policy; the model-based command alone, with --squeeze-force; or the same with a
+    grip that answers to the load that it feels in its joints, --grip.*"""
     objects: tuple[str, ...] = ("eight",)
     """objects or groups (eight, train, held_out, all); those without start states are reported"""
     objects_dir: Path | None = None
@@ -40,12 +42,22 @@ class EvaluateConfig(CommandSettings):
     """which part of the handoff set: by default the states that no training sees"""
     squeeze_force: NonNegative = 3.0
     """commanded force per finger of the squeeze [N]"""
+    squeeze_split: Literal["even", "balanced"] = "even"
+    """how the squeeze shares it out; balanced: the thumb presses as hard as the others together"""
+    grip: GripConfig = REACTING
+    """the grip of the controller grip"""
+    force_budget: Positive = 3.0
+    """mean force per finger that a policy which knows a budget may take [N]"""
     offset_mm: Annotated[float, Range(0, 1e3 * MAX_OFFSET_M)] = 5.0
     """lateral object offset, uniform in ± this along x and y [mm]"""
     angle_deg: Annotated[float, Range(0, math.degrees(MAX_ANGLE_RAD))] = 0.0
     """object rotation about a random axis, uniform up to this [deg]"""
     friction: Positive = 0.8
     """sliding friction of the object's contacts [-]"""
+    mass_scale: Positive = 1.0
+    """factor on the object's mass [-]"""
+    robot_errors: RobotErrors = field(default_factory=RobotErrors)
+    """how the robot differs from its model: gains, latency, noise of its torque sensors"""
     worlds: Count = 256
     """worlds per batch [-]"""
 
@@ -56,4 +68,7 @@ class EvaluateConfig(CommandSettings):
             offset_m=self.offset_mm * 1e-3,
             angle_rad=min(math.radians(self.angle_deg), MAX_ANGLE_RAD),
             friction=(self.friction, self.friction),
+            mass_scale=(self.mass_scale, self.mass_scale),
+            budget_n=(self.force_budget, self.force_budget),
+            robot=self.robot_errors,
         )

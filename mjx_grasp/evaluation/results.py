@@ -29,7 +29,7 @@ class ResultRow:
 
     object: str
     controller: str
-    """'policy' or 'squeeze'."""
+    """'policy', 'squeeze' or 'grip'."""
     engine: str
     """'mujoco' or 'mjx'."""
     episodes: int
@@ -56,6 +56,25 @@ class ResultRow:
     outcomes: str = ""
     """Trial by trial a letter of `OUTCOMES`, in the order in which the seed draws the starts; empty
     where it was not kept."""
+    force_held_n: float | None = None
+    """Mean force over the ticks in which the object is held off the table, of the successful trials
+    [N]; None: there are none, or it was not kept. So are the fields below in older files."""
+    force_peak_p50_n: float | None = None
+    """Median over the trials of the largest force on a single finger [N]."""
+    force_peak_p99_n: float | None = None
+    """Its 99th percentile [N]."""
+    forces_n: tuple[float | None, ...] = ()
+    """Trial by trial the mean that `force_mean_n` is the mean of [N]; None: no lift began."""
+    starts: tuple[int, ...] = ()
+    """Trial by trial the number of the start state: trials that share it are not independent."""
+    squeeze_split: str | None = None
+    """'even' or 'balanced'; None for other controllers."""
+    grip_force_n: float | None = None
+    """Smallest force per finger of a grip that answers to load [N]."""
+    grip_friction: float | None = None
+    """Friction μ₀ that it assumes [-]."""
+    mass_scale: float = 1.0
+    """Factor on the object's mass [-]."""
 
     def __post_init__(self) -> None:
         counts = {n: getattr(self, n) for n in OUTCOMES}
@@ -71,6 +90,9 @@ class ResultRow:
         low, high = self.ci95
         if not -1e-6 <= low <= self.success_percent + 1e-6 <= high + 2e-6 <= 100 + 3e-6:
             raise InputError("ci95", self.ci95, f"limits around {self.success_percent:.2f} %")
+        for name in ("forces_n", "starts"):
+            if len(getattr(self, name)) not in (0, self.episodes):
+                raise InputError(name, len(getattr(self, name)), f"one per trial, {self.episodes}")
         if self.handoffs not in HANDOFFS:
             raise InputError("handoffs", self.handoffs, f"one of {', '.join(HANDOFFS)}")
         for name in ("force_mean_n", "force_peak_n", "squeeze_force_n"):
@@ -227,8 +249,7 @@ def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
             raise FileError(
                 path, f"{where} {problem} {', '.join(sorted(keys))}", f"rows of {SCHEMAS[kind]}"
             )
-    if "ci95" in values:
-        values = values | {"ci95": tuple(values["ci95"])}
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     try:
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:

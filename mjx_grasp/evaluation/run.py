@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
+from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
@@ -91,10 +93,10 @@ def evaluate(
         policy: The policy, for the controller `policy`.
         handoff_kind: `ik` or `reached`, for the rows.
         console: Where the progress bar and warnings go.
-        task: Whose commands a squeeze gives, with its own force; by default the closing task's.
-            A policy is always in the task it was trained in.
+        task: Whose lift and times squeeze and grip have; by default the closing task's. A policy is
+            always in the task it was trained in.
     """
-    task = policy_task(policy) if policy else pressing(task or TaskConfig(), config.squeeze_force)
+    task = policy_task(policy) if policy else model_based(task or TaskConfig(), config)
     worlds = min(config.worlds, config.episodes)
     run = world.task(config.engine, worlds, task, config.noise, with_privileged=False)
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(run)
@@ -111,9 +113,20 @@ def evaluate(
     return rows, trials
 
 
-def pressing(task: TaskConfig, force: float) -> TaskConfig:
-    """The task with another force of its own command [N]."""
-    return replace(task, grip=replace(task.grip, force=force))
+def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
+    """The task with the grip of a controller that no policy adds to: a squeeze's, or `grip`."""
+    if config.controller == "grip":
+        return replace(task, grip=config.grip)
+    plain = GripConfig()
+    squeeze = replace(
+        task.grip,
+        force=config.squeeze_force,
+        split=config.squeeze_split,
+        direction=plain.direction,
+        follow=plain.follow,
+        friction=plain.friction,
+    )
+    return replace(task, grip=squeeze)
 
 
 def policy_task(policy: Policy) -> TaskConfig:
@@ -129,7 +142,9 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
     """One row of a results file."""
     n, successes = len(trials.success), int(trials.success.sum())
     lifted = ~np.isnan(trials.force_mean)
-    squeeze = config.controller == "squeeze"
+    peaks = trials.force_peak[lifted]
+    held = trials.force_held[trials.success]
+    squeeze, grip = config.controller == "squeeze", config.controller == "grip"
     failures = {failure: getattr(trials, failure) for failure in FAILURES}
     letters = np.full(n, OUTCOMES["successes"])
     for failure, happened in failures.items():
@@ -143,13 +158,24 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
         **{failure: int(happened.sum()) for failure, happened in failures.items()},
         ci95=wilson_interval(successes, n),
         force_mean_n=float(trials.force_mean[lifted].mean()) if lifted.any() else None,
-        force_peak_n=float(trials.force_peak[lifted].max()) if lifted.any() else None,
+        force_peak_n=float(peaks.max()) if lifted.any() else None,
         squeeze_force_n=config.squeeze_force if squeeze else None,
         offset_mm=config.offset_mm,
         angle_deg=config.angle_deg,
         friction=config.friction,
         handoffs=handoff_kind,
         outcomes="".join(letters),
+        force_held_n=float(held.mean()) if len(held) else None,
+        force_peak_p50_n=float(np.median(peaks)) if lifted.any() else None,
+        force_peak_p99_n=float(np.quantile(peaks, 0.99)) if lifted.any() else None,
+        forces_n=tuple(
+            None if math.isnan(force) else round(force, 3) for force in trials.force_mean.tolist()
+        ),
+        starts=tuple(trials.row.tolist()),
+        squeeze_split=config.squeeze_split if squeeze else None,
+        grip_force_n=config.grip.force if grip else None,
+        grip_friction=config.grip.friction if grip else None,
+        mass_scale=config.mass_scale,
     )
 
 

@@ -37,13 +37,14 @@ class Condition(NamedTuple):
     objects: frozenset[str]
     meshes: str = ""
     """What the objects are made of, in words."""
+    mass_scale: float = 1.0
 
     def text(self) -> str:
         """The condition in words."""
         return (
             f"{_ENGINES.get(self.engine, self.engine)}, "
             f"{_HANDOFFS[self.handoffs]}, object offset ±{self.offset_mm:g} mm, "
-            f"{self.angle_deg:g}°, friction {self.friction:g}"
+            f"{self.angle_deg:g}°, friction {self.friction:g}{self._mass()}"
             f"{self.meshes and ', '}{self.meshes}"
         )
 
@@ -52,8 +53,11 @@ class Condition(NamedTuple):
         turned = f", {self.angle_deg:g}°" if self.angle_deg else ""
         return (
             f"{_ENGINES.get(self.engine, self.engine)}, ±{self.offset_mm:g} mm{turned}, "
-            f"friction {self.friction:g}"
+            f"friction {self.friction:g}{self._mass()}"
         )
+
+    def _mass(self) -> str:
+        return "" if self.mass_scale == 1.0 else f", mass × {self.mass_scale:g}"
 
 
 class Column(NamedTuple):
@@ -270,6 +274,12 @@ def _columns(
         label = policy_label if key.controller == "policy" else key.controller
         if key.squeeze_force_n is not None:
             label += f" {key.squeeze_force_n:g} N"
+        if key.squeeze_split == "balanced":
+            label += ", balanced"
+        if key.grip_force_n is not None:
+            label += f" {key.grip_force_n:g} N"
+        if key.grip_friction is not None:
+            label += f", μ₀ {key.grip_friction:g}"
         condition = Condition(
             key.engine,
             key.handoffs,
@@ -278,6 +288,7 @@ def _columns(
             key.angle_deg,
             frozenset(part),
             meshes,
+            key.mass_scale,
         )
         found.append((condition, Column(label, part, draws)))
     return found
@@ -288,6 +299,7 @@ def _without_outcome(row: ResultRow) -> ResultRow:
     return replace(
         row, object="", episodes=1, successes=1, never_lifted=0, not_held=0, slipped=0,
         ci95=(0.0, 100.0), force_mean_n=None, force_peak_n=None, outcomes="",
+        force_held_n=None, force_peak_p50_n=None, force_peak_p99_n=None, forces_n=(), starts=(),
     )  # fmt: skip
 
 
@@ -307,6 +319,7 @@ def _condition_order(c: Condition) -> tuple:
         c.offset_mm,
         c.angle_deg,
         c.meshes,
+        c.mass_scale,
     )
 
 

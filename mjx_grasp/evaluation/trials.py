@@ -39,6 +39,8 @@ class Trials(NamedTuple):
     """Finger force, mean over fingers and ticks since lift onset [N]; nan without a lift."""
     force_peak: Float[Column, " n"]
     """Largest force on one finger since lift onset [N]; nan without a lift."""
+    force_held: Float[Column, " n"]
+    """The same mean over the ticks in which the object is held off the table [N]; nan without."""
     peak_rise: Float[Column, " n"]
     """Largest rise of the object [m]."""
     reward: Float[Column, " n"]
@@ -136,6 +138,7 @@ def _episode(
         overflow_ticks=overflow.sum(axis=0),
         force_mean=jnp.where(summary.lifting, summary.force_mean, jnp.nan),
         force_peak=jnp.where(summary.lifting, summary.force_peak, jnp.nan),
+        force_held=summary.force_held,
         peak_rise=summary.peak_rise,
         reward=total,
     ), seen

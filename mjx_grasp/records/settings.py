@@ -68,7 +68,7 @@ class Several:
     once: bool = False
     """Whether no value may come twice."""
 
-    def holds(self, values: tuple[Any, ...]) -> bool:
+    def holds(self, values: Collection[Any]) -> bool:
         """Whether there are as many and in order."""
         before = operator.lt if self.strictly else operator.le
         ordered = not self.ascending or all(before(a, b) for a, b in itertools.pairwise(values))

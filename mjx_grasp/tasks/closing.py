@@ -58,6 +58,10 @@ class Episode(NamedTuple):
     """over the ticks since lift onset, of the mean finger force [N]"""
     force_peak: Float[Array, " w"]
     """largest force on one finger since lift onset [N]"""
+    held_force_sum: Float[Array, " w"]
+    """as `force_sum`, over the ticks in which the object is held off the table [N]"""
+    held_ticks: Int[Array, " w"]
+    """the number of those ticks"""
 
 
 class ClosingState(NamedTuple):
@@ -176,6 +180,7 @@ class ClosingTask:
             lifting=closer.lifting,
             force_mean=episode.force_sum / (closer.lift_tick + 1),  # the onset's own tick counts
             force_peak=episode.force_peak,
+            force_held=episode.held_force_sum / episode.held_ticks,  # 0 / 0 is nan: none
             peak_rise=episode.progress.peak_rise,
         )
 
@@ -237,6 +242,7 @@ class ClosingTask:
         rise = truth.object_pos[:, 2] - before.reset_height
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
+        held = sensed.lifting & (rise > _OFF_THE_TABLE_M) & (slip < self.config.success.slip)
         step = self._step(sensed, measured, self._targets(before), action)
         episode = before._replace(
             action=action,
@@ -248,6 +254,8 @@ class ClosingTask:
             ),
             force_sum=before.force_sum + jnp.mean(lifted_force, axis=-1),
             force_peak=jnp.maximum(before.force_peak, jnp.max(lifted_force, axis=-1)),
+            held_force_sum=before.held_force_sum + jnp.where(held, jnp.mean(force, axis=-1), 0.0),
+            held_ticks=before.held_ticks + held,
         )
         return episode, slip
 
@@ -325,6 +333,8 @@ class ClosingTask:
             progress=initial_progress((w,)),
             force_sum=zeros,
             force_peak=zeros,
+            held_force_sum=zeros,
+            held_ticks=jnp.zeros(w, jnp.int32),
         )
         return draw_params(starts, draw), measured, truth, closer, episode
 
@@ -333,3 +343,7 @@ def _in_palm(measured: Measured, truth: Truth) -> Float[Array, "w 3"]:
     """Object origin in the palm frame [m]."""
     offset = truth.object_pos - measured.palm_pos
     return jnp.sum(measured.palm_mat * offset[..., :, None], axis=-2)
+
+
+_OFF_THE_TABLE_M = 0.01
+"""Rise from which an object counts as held off the table."""

@@ -49,17 +49,20 @@ class RewardTerm:
 
 
 def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
-    """The terms of the publication; then those that ask for a firm hold with little force."""
-    return (
+    """The publication's terms; then, where they have a weight, those of a firm and gentle hold."""
+    published = (
         RewardTerm("reach", config.reach, lambda m: jnp.where(m.lifting, 0.0, reach(m, config))),
         RewardTerm("lift", config.lift, lambda m: jnp.where(m.lifting, lift(m, config), 0.0)),
         RewardTerm("contact", config.contact, contact),
         RewardTerm("action_rate", config.action_rate, action_rate),
         RewardTerm("action_acceleration", config.action_acceleration, action_acceleration),
+    )
+    gentle = (
         RewardTerm("held", config.held, lambda m: jnp.where(m.lifting, held(m, config), 0.0)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
     )
+    return (*published, *(term for term in gentle if term.weight))
 
 
 def reach(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:

@@ -43,6 +43,8 @@ class EpisodeSummary(NamedTuple):
     """finger force, mean over fingers and ticks since lift onset [N]"""
     force_peak: Float[Array, " w"]
     """largest force on one finger since lift onset [N]"""
+    force_held: Float[Array, " w"]
+    """the mean over the ticks in which the object is held off the table [N]; nan without any"""
     peak_rise: Float[Array, " w"]
     """largest rise of the object [m]"""
 

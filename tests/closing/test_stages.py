@@ -50,7 +50,7 @@ def test_lift_without_ramp_still_covers_the_height():
     np.testing.assert_allclose(v.sum() * 0.01, 0.15, atol=0.15 * 0.01 + 1e-6)
 
 
-def test_grip_force_ramps_over_half_a_second():
+def test_the_grip_ramps_over_half_a_second():
     time = jnp.array([0, 0.1, 0.25, 0.5, 0.51, 4.0])
-    force = stages.grip_force(time, GripConfig(force=3.0))
-    np.testing.assert_allclose(force, [0, 0.6, 1.5, 3, 3, 3], rtol=1e-5)
+    share = stages.grip_share(time, GripConfig(force=3.0))
+    np.testing.assert_allclose(share, [0, 0.2, 0.5, 1, 1, 1], rtol=1e-5)

@@ -91,10 +91,10 @@ def with_task(policy, **changes):
             lambda p: with_task(p, grip_force=None),
             r"found task\.grip_force = 'nothing'.*all fields",
         ),
-        (lambda p: with_task(p, grip_force=-1.0), r"GripConfig\.force = -1\.0, expected 0 or more"),
+        (lambda p: with_task(p, grip_force=-1.0), r"task\.grip\.force = -1\.0, expected 0 or more"),
         pytest.param(
             lambda p: with_task(p, grip_force="much"),
-            r"GripConfig\.force = 'much', expected 0 or more",
+            r"task\.grip\.force = 'much', expected 0 or more",
             marks=pytest.mark.wrong_types,
         ),
         (

@@ -50,7 +50,9 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
     assert set(document["rows"][0]) == {
         "object", "controller", "engine", "episodes", "successes", "never_lifted", "not_held",
         "slipped", "ci95", "force_mean_n", "force_peak_n", "squeeze_force_n", "offset_mm",
-        "angle_deg", "friction", "handoffs", "outcomes",
+        "angle_deg", "friction", "handoffs", "outcomes", "force_held_n", "force_peak_p50_n",
+        "force_peak_p99_n", "forces_n", "starts", "squeeze_split", "grip_force_n",
+        "grip_friction", "mass_scale",
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.tasks.assemble import World
@@ -73,3 +74,17 @@ def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
     with pytest.raises(Asked) as asked:
         evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
     assert asked.value.args == (replace(task, grip=replace(task.grip, force=4.0)), config.noise)
+
+
+def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
+    """In the policy's lift and times, whatever its own grip is."""
+    paper = preset_config("paper").task
+    task = replace(paper, grip=replace(REACTING, ramp_s=0.3))
+    out = Path("x.json")
+    squeeze = EvaluateConfig(out, "squeeze", squeeze_force=4.0, squeeze_split="balanced")
+    plain = GripConfig(force=4.0, split="balanced", ramp_s=0.3)
+    grip = EvaluateConfig(out, "grip", grip=replace(REACTING, friction=0.5))
+    for config, expected in ((squeeze, plain), (grip, grip.grip)):
+        with pytest.raises(Asked) as asked:
+            evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
+        assert asked.value.args == (replace(task, grip=expected), config.noise)

@@ -57,7 +57,7 @@ class Homing:
     def summary(self, state):
         there, zero = jnp.abs(state.place) < 0.05, jnp.zeros(state.place.shape)
         return EpisodeSummary(
-            state.row, there, ~there, there & ~there, there & ~there, there, zero, zero, zero
+            state.row, there, ~there, there & ~there, there & ~there, there, zero, zero, zero, zero
         )
 
     def snapshot(self, state):

@@ -5,10 +5,9 @@ import pytest
 from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import ActionConfig, GripConfig, GuidanceConfig
-from mjx_grasp.evaluation.run import pressing
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
 from mjx_grasp.tasks.closing import ClosingTask
-from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, ObservationConfig, StartNoise
 from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import failure_classes
 
@@ -50,7 +49,7 @@ def lifting_script(starts, rows, contact_tick=20, rise_tick=60, ticks=TICKS):
 
 def test_observation_has_66_numbers_and_actions_15(scene, starts):
     task = scripted_task(scene, starts, still(starts, [0], 2))
-    assert policy_sizes(scene.robot) == (66, task.action_size) == (66, 15)
+    assert policy_sizes(scene.robot, ObservationConfig()) == (66, task.action_size) == (66, 15)
     _, obs = task.start(draw_of([0]))
     assert obs["state"].shape == (1, 66)
     plain = scripted_task(scene, starts, still(starts, [0], 2), with_privileged=False)
@@ -366,7 +365,7 @@ def test_jit_agrees_with_eager(starts, native):
 
 def test_turning_the_scene_about_the_vertical_changes_nothing(starts, native):
     """Rows 0–2 are the same state, turned about the arm's base."""
-    task = ClosingTask(native, starts, pressing(ClosingTaskConfig(), 5.0), QUIET)
+    task = ClosingTask(native, starts, ClosingTaskConfig(grip=GripConfig(force=5.0)), QUIET)
     states, out = play(task, [0, 1, 2], 60)
     for w in (1, 2):
         np.testing.assert_allclose(total(out)[:, w], total(out)[:, 0], atol=5e-3)
@@ -378,7 +377,7 @@ def test_squeeze_lifts_a_box_and_too_little_force_lets_it_slip(starts, native):
     """The whole chain once, in the reference engine: 5 N hold 1.5 N of weight, 1 N does not."""
     outcome = {}
     for force in (1.0, 5.0):
-        task = ClosingTask(native, starts, pressing(ClosingTaskConfig(), force), QUIET)
+        task = ClosingTask(native, starts, ClosingTaskConfig(grip=GripConfig(force=force)), QUIET)
         states, _ = play(task, [0, 1], TICKS)
         last = jax.tree.map(lambda x: x[-1], states.episode)
         outcome[force] = np.asarray(last.progress.success)
@@ -387,3 +386,18 @@ def test_squeeze_lifts_a_box_and_too_little_force_lets_it_slip(starts, native):
         np.testing.assert_array_equal(total, 1)
         assert last.force_peak.max() < 20.0
     assert outcome[5.0].all() and not outcome[1.0].any()
+
+
+def test_what_a_grip_feels_is_what_the_contact_solver_says(starts, native):
+    """The whole chain of an answering grip: torques, forces, level, lift; and with less force."""
+    gentle = GripConfig(force=1.0, split="balanced", direction="line", follow=0.05, friction=0.5)
+    task = ClosingTask(native, starts, ClosingTaskConfig(grip=gentle), QUIET)
+    states, _ = play(task, [0, 1], TICKS)
+    felt = jax.vmap(task.closer.forces)(states.closer, states.measured)
+    felt, true = (np.linalg.norm(x, axis=-1) for x in (felt, states.truth.finger_force))
+    pressed = np.asarray(states.closer.lifting)[..., None] & (true > 0.5)
+    assert pressed.mean() > 0.3
+    assert np.median(np.abs(felt - true)[pressed]) < 0.5
+    assert np.asarray(states.episode.progress.success)[-1].all()
+    level = np.asarray(states.closer.level)
+    assert level[0].max() == 1.0 and 1.0 < level.max() < 5.0

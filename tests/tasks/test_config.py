@@ -77,6 +77,9 @@ OTHERS = {
 """Possible values that are not the default, of fields that are no fractions."""
 
 
+PATHS = {path for _, path in FLAT.values()}
+
+
 def numbers(config, prefix=""):
     """Every value of a nested configuration by its path."""
     found = {}
@@ -95,7 +98,29 @@ def test_defaults_are_the_published_task():
 
 
 def test_no_default_has_changed_since_the_first_version():
-    assert numbers(ClosingTaskConfig()) == {path: value for value, path in FLAT.values()}
+    assert first_numbers(ClosingTaskConfig()) == {path: value for value, path in FLAT.values()}
+
+
+def first_numbers(task):
+    """The numbers that the first version had too."""
+    return {path: value for path, value in numbers(task).items() if path in PATHS}
+
+
+def test_what_came_later_changes_nothing_where_it_is_not_asked_for():
+    later = {path: x for path, x in numbers(ClosingTaskConfig()).items() if path not in PATHS}
+    off = {
+        "grip.split": "even",
+        "grip.direction": "normals",
+        "grip.follow": 0.0,
+        "grip.friction": None,
+        "observation.forces": False,
+        "observation.budget": False,
+        "observation.ticks_ago": (0, 1),
+        "reward.held": 0.0,
+        "reward.force": 0.0,
+        "reward.over_budget": 0.0,
+    }
+    assert {path: later[path] for path in off} == off
 
 
 @pytest.mark.parametrize(
@@ -124,7 +149,7 @@ def test_impossible_tasks_and_noises_are_refused_by_name(kind, field, value):
 def test_the_shipped_policys_task_is_read_number_by_number():
     stored = load_policy(asset_path("policy.npz")).meta["task"]
     assert stored == FIRST
-    read = numbers(task_from_record(stored))
+    read = first_numbers(task_from_record(stored))
     assert read == {path: stored[name] for name, (_, path) in FLAT.items()}
 
 

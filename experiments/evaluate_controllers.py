@@ -1,7 +1,8 @@
-"""The table of success against force: policy and squeeze from the same states, in one file.
+"""The table of success against force: policy, squeeze and grip from the same states, in one file.
 
-Each condition runs the policy and the squeeze at each force, from the same draws. Native MuJoCo
-is the reference; `--engine mjx` gives the training engine's figures for the comparison of both.
+Each condition runs the policy, the squeeze at each force and the answering grip at each friction,
+from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the training engine's
+figures for the comparison of both.
 
   python experiments/evaluate_controllers.py --objects eight --objects-dir DIR --out FILE.json
 """
@@ -17,6 +18,7 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
+from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
@@ -26,7 +28,14 @@ from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.records.provenance import file_digests, provenance
-from mjx_grasp.records.settings import CommandSettings, Count, NonNegative, Seed, to_record
+from mjx_grasp.records.settings import (
+    CommandSettings,
+    Count,
+    NonNegative,
+    Positive,
+    Seed,
+    to_record,
+)
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
@@ -54,8 +63,12 @@ class ComparisonConfig(CommandSettings):
     states: Literal["evaluation", "training", "all"] = "evaluation"
     conditions: tuple[Condition, ...] = ("nominal",)
     """of nominal (offset ±5 mm, friction 0.8), offset10 and friction05"""
+    with_policy: bool = True
+    """whether the policy is among the controllers"""
     squeeze_forces: tuple[NonNegative, ...] = (1.0, 3.0, 5.0, 8.0)
     """commanded forces of the squeeze [N]; 1 is the policy's own command without its residuals"""
+    grip_frictions: tuple[Positive, ...] = ()
+    """frictions μ₀ that the grip assumes when it answers to load [-]"""
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
@@ -64,6 +77,8 @@ class ComparisonConfig(CommandSettings):
 
 def main(config: ComparisonConfig) -> None:
     """Runs the comparison."""
+    if not (config.with_policy or config.squeeze_forces or config.grip_frictions):
+        raise InputError("--squeeze-forces", "no controller at all", "one controller or more")
     console = Console(stderr=True)
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
@@ -89,12 +104,16 @@ def main(config: ComparisonConfig) -> None:
             seed=config.seed,
             **CONDITIONS[name],
         )
-        for force in (None, *config.squeeze_forces):
-            if force is None:
-                chosen, controller = base, policy
-            else:
-                chosen = replace(base, controller="squeeze", squeeze_force=force)
-                controller = None
+        controllers = [
+            *([base] if config.with_policy else []),
+            *(replace(base, controller="squeeze", squeeze_force=f) for f in config.squeeze_forces),
+            *(
+                replace(base, controller="grip", grip=replace(REACTING, friction=friction))
+                for friction in config.grip_frictions
+            ),
+        ]
+        for chosen in controllers:
+            controller = policy if chosen.controller == "policy" else None
             new, trials = evaluate(world, names, chosen, controller, stored.kind, console)
             rows += new
             for what, count in incidents(trials.values()).items():
@@ -110,7 +129,7 @@ def main(config: ComparisonConfig) -> None:
                 **made_of,
                 **counted,
             )
-        done = rows[-len(names) * (1 + len(config.squeeze_forces)) :]
+        done = rows[-len(names) * len(controllers) :]
         Console().print(success_table(done, scans=config.objects_dir is not None))
 
 

@@ -38,7 +38,7 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, build_scene_of, build_world
 
 CONDITIONS = {
     "nominal": dict(offset_mm=5.0, angle_deg=0.0, friction=0.8),

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import evaluate, policy_task
+from mjx_grasp.evaluation.run import evaluate, model_based, policy_task
 from mjx_grasp.evaluation.tables import success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
@@ -19,8 +19,8 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.tasks.assemble import World, build_world
+from mjx_grasp.sim.scene import SceneConfig, build_scene
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training.config import TrainConfig
 
@@ -40,14 +40,15 @@ def evaluate_run(
         console: For progress and the table.
     """
     policy = load_policy(folder / "policy.npz")
-    every_joint = replace(config.scene, fix_idle_fingers=False)
+    exact = SceneConfig().physics_dt  # a training may step more coarsely than it is judged
+    every_joint = replace(config.scene, fix_idle_fingers=False, physics_dt=exact)
     scene = build_scene(world.scene.objects, load_robot(config.robot), every_joint)
     task, base = policy_task(policy), condition(config, folder / "results.json")
     held_out = build_world(scene, states, task.control_dt)
     rows: list[ResultRow] = []
     runs: list[Trials] = []
-    squeezes = baselines(base, task.grip.force)
-    for chosen, controller in ((base, policy), *((squeeze, None) for squeeze in squeezes)):
+    others = baselines(base, task)
+    for chosen, controller in ((base, policy), *((other, None) for other in others)):
         new, trials = evaluate(
             held_out, states.object_names, chosen, controller, states.kind, console, task
         )
@@ -56,9 +57,11 @@ def evaluate_run(
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
     robot = scene.robot.identity
-    write_results(base.out, rows, made, robot, label=label, untrained_n=task.grip.force, **counted)
+    own = {} if answers_to_load(task) else {"untrained_n": task.grip.force}
+    write_results(base.out, rows, made, robot, label=label, **own, **counted)
     console.print(success_table(rows, scans=config.objects_dir is not None))
-    console.print(untrained_note(task.grip.force))
+    for force in own.values():
+        console.print(untrained_note(force))
 
     shown = best_grasp(held_out, states.object_names[0], policy, config.noise, base.seed)
     save_trajectory(folder / "grasp.npz", shown)
@@ -82,15 +85,23 @@ def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
     )
 
 
-def baselines(base: EvaluateConfig, untrained: float) -> list[EvaluateConfig]:
-    """The squeezes that a policy is compared with, each force once.
+def answers_to_load(task: TaskConfig) -> bool:
+    """Whether the command that a policy adds to is another one than a squeeze's."""
+    squeeze = EvaluateConfig(Path("unused.json"), "squeeze", squeeze_force=task.grip.force)
+    return model_based(task, squeeze) != task
+
+
+def baselines(base: EvaluateConfig, task: TaskConfig) -> list[EvaluateConfig]:
+    """What a policy is compared with: squeezes, and its own command if that is none of them.
 
     Args:
         base: The condition.
-        untrained: Force of the policy's own command [N]: before training it adds nothing to it.
+        task: Whose command the policy adds to: before training it adds nothing.
     """
-    forces = sorted({*SQUEEZE_FORCES_N, untrained})
-    return [replace(base, controller="squeeze", squeeze_force=force) for force in forces]
+    own_grip = answers_to_load(task)
+    forces = sorted({*SQUEEZE_FORCES_N, *(() if own_grip else (task.grip.force,))})
+    squeezes = [replace(base, controller="squeeze", squeeze_force=force) for force in forces]
+    return [*squeezes, *([replace(base, controller="grip", grip=task.grip)] if own_grip else [])]
 
 
 def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed: int) -> Trajectory:

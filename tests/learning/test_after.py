@@ -12,7 +12,7 @@ from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.tasks.assemble import World
-from mjx_grasp.tasks.config import StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 from mjx_grasp.training import after
 from mjx_grasp.training.after import baselines, condition
 from mjx_grasp.training.config import preset_config
@@ -61,7 +61,7 @@ def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path, sc
 )
 def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
     base = EvaluateConfig(out=Path("x.json"), offset_mm=2.0)
-    found = baselines(base, untrained)
+    found = baselines(base, ClosingTaskConfig(grip=GripConfig(force=untrained)))
     assert [c.squeeze_force for c in found] == forces
     assert {c.controller for c in found} == {"squeeze"}
     assert {c.offset_mm for c in found} == {2.0}
@@ -88,3 +88,11 @@ def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
         with pytest.raises(Asked) as asked:
             evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
         assert asked.value.args == (replace(task, grip=expected), config.noise)
+
+
+def test_a_policy_on_an_answering_grip_is_compared_with_that_grip():
+    base = EvaluateConfig(out=Path("x.json"), mass_scale=2.0)
+    found = baselines(base, ClosingTaskConfig(grip=REACTING))
+    assert [c.controller for c in found] == ["squeeze", "squeeze", "grip"]
+    assert [c.squeeze_force for c in found[:2]] == [3.0, 5.0]
+    assert found[-1].grip == REACTING and {c.mass_scale for c in found} == {2.0}

@@ -65,6 +65,7 @@ def trials_of(n, overflow_ticks, broken):
         overflow_ticks=np.array(overflow_ticks),
         force_mean=np.full(n, np.nan),
         force_peak=np.full(n, np.nan),
+        force_held=np.full(n, np.nan),
         peak_rise=np.zeros(n),
         reward=np.zeros(n),
     )

@@ -14,6 +14,7 @@ from typing import Any
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
     Column,
@@ -22,7 +23,6 @@ from mjx_grasp.evaluation.tables import (
     condition_table,
     failure_table,
     force_table,
-    paired_table,
     read_groups,
 )
 from mjx_grasp.learning.policy import load_policy
@@ -39,11 +39,15 @@ EXPLANATION = (
     "finger from the onset of the lift. The last columns are quoted from "
     f"{CITATION}."
 )
-PAIRS = (
-    "Differences in percentage points, with 95 % bootstrap intervals over trials; then the number "
-    "of trials in which only one of the two lifted the object, and the probability of a split at "
-    "least this uneven if both were equally good. Trials from the same start state often end "
-    "alike, so the intervals are too narrow and the probabilities too small."
+EQUAL_FORCE = (
+    "Differences in percentage points, with 95 % bootstrap intervals over start states. A "
+    "baseline's results at several commanded forces, or frictions μ₀, are joined by straight lines "
+    "and read at the controller's own mean force. The peak is the largest force on a finger."
+)
+WITHIN_BUDGET = (
+    "The share of all trials that are lifted and whose mean force per finger stays within the "
+    "budget, and differences of it in percentage points with the same intervals. Each controller "
+    "at the best of its settings for each budget."
 )
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
@@ -101,8 +105,9 @@ def all_conditions(paths: Sequence[Path]) -> str:
         return NOTHING
     parts = [EXPLANATION]
     parts += ["### Means over the objects", *_means_by_engine(groups)]
-    if (pairs := paired_table(groups)).rows:
-        parts += [f"### {pairs.title}", markdown(pairs), PAIRS]
+    for make, text in ((equal_force_table, EQUAL_FORCE), (budget_table, WITHIN_BUDGET)):
+        if (table := make(groups)).rows:
+            parts += [f"### {table.title}", text, markdown(table)]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
 

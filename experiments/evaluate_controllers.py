@@ -1,8 +1,8 @@
 """The table of success against force: policy, squeeze and grip from the same states, in one file.
 
-Each condition runs the policy, the squeeze at each force and the answering grip at each friction,
-from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the training engine's
-figures for the comparison of both.
+Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
+each friction, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
+training engine's figures for the comparison of both.
 
   python experiments/evaluate_controllers.py --objects eight --objects-dir DIR --out FILE.json
 """
@@ -22,7 +22,7 @@ from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import evaluate, load_controller
+from mjx_grasp.evaluation.run import evaluate, load_controller, policy_task
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -39,13 +39,25 @@ from mjx_grasp.records.settings import (
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.config import RobotErrors
 
 CONDITIONS = {
-    "nominal": dict(offset_mm=5.0, angle_deg=0.0, friction=0.8),
-    "offset10": dict(offset_mm=10.0, angle_deg=0.0, friction=0.8),
-    "friction05": dict(offset_mm=5.0, angle_deg=0.0, friction=0.5),
+    "nominal": {},
+    "offset10": dict(offset_mm=10.0, angle_deg=5.0),
+    "offset20": dict(offset_mm=20.0, angle_deg=10.0),
+    "friction04": dict(friction=0.4),
+    "friction05": dict(friction=0.5),
+    "friction11": dict(friction=1.1),
+    "light": dict(mass_scale=0.5),
+    "heavy": dict(mass_scale=2.0),
+    "hard": dict(offset_mm=10.0, friction=0.5),
 }
-Condition = Literal["nominal", "offset10", "friction05"]
+"""By what each differs from ±5 mm at friction 0.8."""
+Condition = Literal[
+    "nominal", "offset10", "offset20", "friction04", "friction05", "friction11",
+    "light", "heavy", "hard",
+]  # fmt: skip
+NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
 
 @dataclass(frozen=True)
@@ -62,17 +74,51 @@ class ComparisonConfig(CommandSettings):
     """handoff set; the shipped one by default"""
     states: Literal["evaluation", "training", "all"] = "evaluation"
     conditions: tuple[Condition, ...] = ("nominal",)
-    """of nominal (offset ±5 mm, friction 0.8), offset10 and friction05"""
+    """of nominal (object offset ±5 mm, friction 0.8) and what differs from it: offset10 (±10 mm and
+    5°), offset20 (±20 mm and 10°), friction04, friction05, friction11, light (half the mass), heavy
+    (twice), hard (±10 mm, friction 0.5)"""
+    noisy_torque: bool = False
+    """each of them with torque sensors of a noise of 0.02 N m, in steps of 0.01, and a model of
+    joint friction that is off by up to three tenths"""
     with_policy: bool = True
     """whether the policy is among the controllers"""
-    squeeze_forces: tuple[NonNegative, ...] = (1.0, 3.0, 5.0, 8.0)
-    """commanded forces of the squeeze [N]; 1 is the policy's own command without its residuals"""
+    force_budgets: tuple[Positive, ...] = (3.0,)
+    """that a policy which knows a budget is given, one after the other [N]"""
+    squeeze_forces: tuple[NonNegative, ...] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
+    """commanded forces of the squeeze [N]"""
+    squeeze_splits: tuple[Literal["even", "balanced"], ...] = ("even",)
+    """how the squeeze shares each of them out"""
     grip_frictions: tuple[Positive, ...] = ()
     """frictions μ₀ that the grip assumes when it answers to load [-]"""
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
     seed: Seed = 1
+
+
+def asked_controllers(
+    base: EvaluateConfig, config: ComparisonConfig, knows_budget: bool
+) -> list[EvaluateConfig]:
+    """Every controller under one condition.
+
+    Args:
+        base: The condition.
+        config: Which controllers.
+        knows_budget: Whether the policy is given a force budget.
+    """
+    budgets = config.force_budgets if knows_budget else config.force_budgets[:1]
+    return [
+        *(replace(base, force_budget=budget) for budget in budgets if config.with_policy),
+        *(
+            replace(base, controller="squeeze", squeeze_force=force, squeeze_split=split)
+            for split in config.squeeze_splits
+            for force in config.squeeze_forces
+        ),
+        *(
+            replace(base, controller="grip", grip=replace(REACTING, friction=friction))
+            for friction in config.grip_frictions
+        ),
+    ]
 
 
 def main(config: ComparisonConfig) -> None:
@@ -102,16 +148,10 @@ def main(config: ComparisonConfig) -> None:
             episodes=config.episodes,
             worlds=config.worlds,
             seed=config.seed,
+            robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
             **CONDITIONS[name],
         )
-        controllers = [
-            *([base] if config.with_policy else []),
-            *(replace(base, controller="squeeze", squeeze_force=f) for f in config.squeeze_forces),
-            *(
-                replace(base, controller="grip", grip=replace(REACTING, friction=friction))
-                for friction in config.grip_frictions
-            ),
-        ]
+        controllers = asked_controllers(base, config, policy_task(policy).observation.budget)
         for chosen in controllers:
             controller = policy if chosen.controller == "policy" else None
             new, trials = evaluate(world, names, chosen, controller, stored.kind, console)

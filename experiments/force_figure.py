@@ -47,8 +47,11 @@ def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
         raise FileError(folder, f"no eight_*.json of {engine}", "evaluations of the eight objects")
     for policy in evaluated_policies(folder, asset_path("policy.npz")):
         if policy.condition in found:
+            name = f"policy, {policy.setting}"
             found[policy.condition].append(
-                policy.column._replace(label=f"policy, {policy.setting}")
+                policy.column._replace(
+                    label=policy.column.label.replace("policy", name, 1), family=name
+                )
             )
     return {c.short(): columns for c, columns in found.items()}
 

@@ -57,7 +57,7 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
             (condition, column)
             for condition, columns in read_groups([path]).items()
             for column in columns
-            if column.label == "policy"
+            if column.family == "policy"
         ]
         if own and (run := _run_of(path, shipped)) in trained:
             row = trained[run]
@@ -74,7 +74,7 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
 def squeezes_by_condition(folder: Path) -> Groups:
     """The squeezes that the policies are compared with."""
     return {
-        condition: [c for c in columns if c.label != "policy"]
+        condition: [c for c in columns if c.family == "squeeze"]
         for condition, columns in read_groups(comparisons(folder)).items()
     }
 

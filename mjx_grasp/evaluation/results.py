@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,6 +16,7 @@ from mjx_grasp.evaluation.statistics import mean_rate_interval
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
+from mjx_grasp.tasks.config import RobotErrors
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
 HANDOFFS = ("ik", "reached")
@@ -75,6 +76,10 @@ class ResultRow:
     """Friction μ₀ that it assumes [-]."""
     mass_scale: float = 1.0
     """Factor on the object's mass [-]."""
+    force_budget_n: float | None = None
+    """Mean force per finger that a policy which knows a budget was allowed [N]."""
+    robot_errors: RobotErrors = field(default_factory=RobotErrors)
+    """How the robot differed from its model."""
 
     def __post_init__(self) -> None:
         counts = {n: getattr(self, n) for n in OUTCOMES}
@@ -240,7 +245,7 @@ def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]
 
 def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
     names = {f.name for f in fields(kind)}
-    needed = {f.name for f in fields(kind) if f.default is MISSING}
+    needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
     where = f"row {index}"
     if not isinstance(values, dict):
         raise FileError(path, f"{where}: {type(values).__name__}", "an object per row")
@@ -251,6 +256,9 @@ def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
             )
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     try:
+        if "robot_errors" in values:
+            errors = from_record(RobotErrors, values["robot_errors"], "robot_errors")
+            values["robot_errors"] = errors
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:
         raise FileError(path, f"{where}: {error}", "a row that agrees with itself") from None

@@ -107,7 +107,7 @@ def evaluate(
             index = world.scene.object_index(name)
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
             trials[name] = run_trials(run, controller, draw, worlds)
-            rows.append(summarise(name, trials[name], config, handoff_kind))
+            rows.append(summarise(name, trials[name], config, handoff_kind, task))
             _warn(name, trials[name], console)
             bar.update(job, advance=1)
     return rows, trials
@@ -138,13 +138,16 @@ def policy_task(policy: Policy) -> TaskConfig:
     return task_from_record(policy.meta.get("task"))
 
 
-def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str) -> ResultRow:
+def summarise(
+    name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str, task: TaskConfig
+) -> ResultRow:
     """One row of a results file."""
     n, successes = len(trials.success), int(trials.success.sum())
     lifted = ~np.isnan(trials.force_mean)
     peaks = trials.force_peak[lifted]
     held = trials.force_held[trials.success]
     squeeze, grip = config.controller == "squeeze", config.controller == "grip"
+    knows_budget = config.controller == "policy" and task.observation.budget
     failures = {failure: getattr(trials, failure) for failure in FAILURES}
     letters = np.full(n, OUTCOMES["successes"])
     for failure, happened in failures.items():
@@ -176,6 +179,8 @@ def summarise(name: str, trials: Trials, config: EvaluateConfig, handoff_kind: s
         grip_force_n=config.grip.force if grip else None,
         grip_friction=config.grip.friction if grip else None,
         mass_scale=config.mass_scale,
+        force_budget_n=config.force_budget if knows_budget else None,
+        robot_errors=config.robot_errors,
     )
 
 

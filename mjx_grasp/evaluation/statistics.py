@@ -1,11 +1,9 @@
-"""Intervals and paired comparisons of success rates. Rates and intervals are in percent."""
+"""Intervals of success rates and means. Rates and their intervals are in percent."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy import stats
 
 from mjx_grasp.errors import InputError
@@ -90,61 +88,6 @@ def bootstrap_mean_interval(
         ].mean(1)
     low, high = np.quantile(means, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return float(low), float(high)
-
-
-@dataclass(frozen=True)
-class PairedComparison:
-    """Two controllers on the same start states."""
-
-    both: int
-    """Trials in which both succeeded."""
-    only_first: int
-    only_second: int
-    neither: int
-    difference: float
-    """Success of the first minus that of the second [percentage points]."""
-    ci95: Interval
-    """Bootstrap 95 % interval of the difference over trials [percentage points]."""
-    p_value: float
-    """Of the exact McNemar test, two-sided: chance of so uneven a split if both were equal."""
-
-
-def compare_paired(
-    first: Bool[np.ndarray, " n"], second: Bool[np.ndarray, " n"], seed: int = 0
-) -> PairedComparison:
-    """Compares two controllers that ran from the same states, trial by trial.
-
-    Args:
-        first: Success of the first controller in each trial.
-        second: Success of the second one from the same state.
-        seed: Of the bootstrap.
-
-    Raises:
-        InputError: The lengths differ, or there are no trials.
-    """
-    first, second = np.asarray(first, bool), np.asarray(second, bool)
-    if first.shape != second.shape or first.ndim != 1 or not len(first):
-        raise InputError("first and second", (first.shape, second.shape), "two equal shapes [n]")
-    only_first, only_second = int(np.sum(first & ~second)), int(np.sum(~first & second))
-    gain = 100.0 * (first.astype(float) - second.astype(float))
-    return PairedComparison(
-        both=int(np.sum(first & second)),
-        only_first=only_first,
-        only_second=only_second,
-        neither=int(np.sum(~first & ~second)),
-        difference=float(gain.mean()),
-        ci95=bootstrap_mean_interval(gain, seed),
-        p_value=mcnemar_exact(only_first, only_second),
-    )
-
-
-def mcnemar_exact(only_first: int, only_second: int) -> float:
-    """Two-sided p-value of the exact McNemar test from the counts of discordant pairs."""
-    if min(only_first, only_second) < 0:
-        raise InputError("discordant pairs", (only_first, only_second), "counts of 0 or more")
-    discordant = only_first + only_second
-    tail = stats.binom.cdf(min(only_first, only_second), discordant, 0.5)
-    return float(min(1.0, 2.0 * tail))
 
 
 def _check_confidence(confidence: float) -> None:

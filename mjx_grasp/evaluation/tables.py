@@ -7,19 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import (
-    OUTCOMES,
     ResultRow,
     Results,
     mean_success,
     read_results,
 )
-from mjx_grasp.evaluation.statistics import PairedComparison, compare_paired
 from mjx_grasp.records.table import Table
+from mjx_grasp.tasks.config import RobotErrors
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _MESHES = {True: "real scans", False: "parametric stand-ins"}
@@ -38,13 +35,14 @@ class Condition(NamedTuple):
     meshes: str = ""
     """What the objects are made of, in words."""
     mass_scale: float = 1.0
+    robot_errors: RobotErrors = RobotErrors()
 
     def text(self) -> str:
         """The condition in words."""
         return (
             f"{_ENGINES.get(self.engine, self.engine)}, "
             f"{_HANDOFFS[self.handoffs]}, object offset ±{self.offset_mm:g} mm, "
-            f"{self.angle_deg:g}°, friction {self.friction:g}{self._mass()}"
+            f"{self.angle_deg:g}°, friction {self.friction:g}{self._changes()}"
             f"{self.meshes and ', '}{self.meshes}"
         )
 
@@ -53,11 +51,12 @@ class Condition(NamedTuple):
         turned = f", {self.angle_deg:g}°" if self.angle_deg else ""
         return (
             f"{_ENGINES.get(self.engine, self.engine)}, ±{self.offset_mm:g} mm{turned}, "
-            f"friction {self.friction:g}{self._mass()}"
+            f"friction {self.friction:g}{self._changes()}"
         )
 
-    def _mass(self) -> str:
-        return "" if self.mass_scale == 1.0 else f", mass × {self.mass_scale:g}"
+    def _changes(self) -> str:
+        mass = "" if self.mass_scale == 1.0 else f", mass × {self.mass_scale:g}"
+        return mass + _errors_text(self.robot_errors)
 
 
 class Column(NamedTuple):
@@ -67,6 +66,8 @@ class Column(NamedTuple):
     rows: dict[str, ResultRow]
     draws: tuple[str, ...] = ()
     """What the trials' starts were drawn from and by; two columns that share it are paired."""
+    family: str = ""
+    """What columns that differ in their force alone have in common."""
 
     def mean(self) -> tuple[float, tuple[float, float]]:
         """Mean success over the objects and its 95 % interval [%]."""
@@ -162,36 +163,6 @@ def condition_table(condition: Condition, columns: Sequence[Column]) -> Table:
     return Table(_title_of(condition, columns), tuple(header), tuple(rows), summary=2)
 
 
-def paired_table(groups: Groups) -> Table:
-    """Each policy against each squeeze from the same starts, trial by trial; no line without both.
-
-    The difference is of the mean success over all trials; its interval takes them as independent.
-    """
-    rows = []
-    for condition, columns in groups.items():
-        squeezes = [c for c in columns if _is_squeeze(c)]
-        for policy in (c for c in columns if not _is_squeeze(c)):
-            for squeeze in squeezes:
-                if pair := _paired(policy, squeeze):
-                    low, high = pair.ci95
-                    rows.append(
-                        (
-                            condition.short(),
-                            f"{policy.label} − {squeeze.label}",
-                            f"{pair.difference:+.1f} ({low:+.1f} to {high:+.1f})",
-                            str(pair.only_first),
-                            str(pair.only_second),
-                            f"{pair.p_value:.1g}",
-                            " / ".join(_force(c.forces()[0]) for c in (policy, squeeze)),
-                        )
-                    )
-    header = (
-        *("condition", "pair", "success, points", "only the policy", "only the squeeze"),
-        *("p (McNemar)", "mean force N"),
-    )
-    return Table("Policy and squeeze from the same starts", header, tuple(rows), names=2)
-
-
 def force_table(condition: Condition, columns: Sequence[Column]) -> Table:
     """Mean and peak contact force per object and controller [N]."""
     rows = [
@@ -238,24 +209,6 @@ def _draws_of(results: Results, path: Path) -> tuple[str, ...]:
     return (str(results.provenance["seed"]), digest, settings["states"], *settings["objects"])
 
 
-def _is_squeeze(column: Column) -> bool:
-    return next(iter(column.rows.values())).squeeze_force_n is not None
-
-
-def _paired(first: Column, second: Column) -> PairedComparison | None:
-    """Two columns trial by trial; None if their trials are not the same or were not kept."""
-    if first.draws != second.draws or not first.draws:
-        return None
-    trials = [
-        "".join(column.rows[name].outcomes for name in sorted(column.rows))
-        for column in (first, second)
-    ]
-    if not trials[0] or len(trials[0]) != len(trials[1]):
-        return None
-    lifted = (np.array(list(t)) == OUTCOMES["successes"] for t in trials)
-    return compare_paired(*lifted)
-
-
 def _columns(
     rows: Sequence[ResultRow],
     policy_label: str = "policy",
@@ -271,15 +224,7 @@ def _columns(
         part[row.object] = row
     found = []
     for key, part in parts.items():
-        label = policy_label if key.controller == "policy" else key.controller
-        if key.squeeze_force_n is not None:
-            label += f" {key.squeeze_force_n:g} N"
-        if key.squeeze_split == "balanced":
-            label += ", balanced"
-        if key.grip_force_n is not None:
-            label += f" {key.grip_force_n:g} N"
-        if key.grip_friction is not None:
-            label += f", μ₀ {key.grip_friction:g}"
+        family = policy_label if key.controller == "policy" else key.controller
         condition = Condition(
             key.engine,
             key.handoffs,
@@ -289,9 +234,30 @@ def _columns(
             frozenset(part),
             meshes,
             key.mass_scale,
+            key.robot_errors,
         )
-        found.append((condition, Column(label, part, draws)))
+        found.append((condition, Column(family + _setting(key), part, draws, family)))
     return found
+
+
+def _setting(row: ResultRow) -> str:
+    """What a controller was asked for, behind its name."""
+    text = "" if row.squeeze_force_n is None else f" {row.squeeze_force_n:g} N"
+    text += ", balanced" if row.squeeze_split == "balanced" else ""
+    text += "" if row.grip_force_n is None else f" {row.grip_force_n:g} N"
+    text += "" if row.grip_friction is None else f", μ₀ {row.grip_friction:g}"
+    return text + ("" if row.force_budget_n is None else f", budget {row.force_budget_n:g} N")
+
+
+def _errors_text(errors: RobotErrors) -> str:
+    """What is wrong with a robot, behind a condition."""
+    text = f", torque ± {errors.torque_std:g} N m" if errors.torque_std else ""
+    text += f" in steps of {errors.torque_step:g}" if errors.torque_step else ""
+    text += f", joint friction ± {100 * errors.friction:g} %" if errors.friction else ""
+    ranges = (("gains ×", errors.stiffness, 1.0), ("latency", errors.latency_s, 0.0))
+    for name, (low, high), ideal in ranges:
+        text += f", {name} {low:g}–{high:g}" if (low, high) != (ideal, ideal) else ""
+    return text
 
 
 def _without_outcome(row: ResultRow) -> ResultRow:
@@ -303,9 +269,10 @@ def _without_outcome(row: ResultRow) -> ResultRow:
     )  # fmt: skip
 
 
-def _column_order(column: Column) -> tuple[bool, float, str]:
-    force = next(iter(column.rows.values())).squeeze_force_n
-    return (force is not None, force or 0.0, column.label)
+def _column_order(column: Column) -> tuple[bool, float, float, str]:
+    row = next(iter(column.rows.values()))
+    force = row.squeeze_force_n
+    return (force is not None, force or 0.0, row.force_budget_n or 0.0, column.label)
 
 
 def _condition_order(c: Condition) -> tuple:
@@ -320,6 +287,7 @@ def _condition_order(c: Condition) -> tuple:
         c.angle_deg,
         c.meshes,
         c.mass_scale,
+        str(c.robot_errors),
     )
 
 

@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.results import ResultRow, mean_success
 from mjx_grasp.evaluation.tables import Column
 
 Metrics = dict[str, Float[np.ndarray, " t"]]
@@ -32,7 +31,9 @@ _CURVES = (  # column, title, factor
 _BLUE, _ORANGE = "#2563a8", "#c8641e"
 GREY = "#5b6470"
 """Of words."""
-_MARKERS = (("o", _BLUE), ("D", "#2e8b57"), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
+_MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
+_LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
+_LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
 
@@ -88,8 +89,9 @@ def training_curves(metrics: Metrics) -> bytes:
 def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     """Mean success against the mean contact force it took, a panel per condition, as PNG.
 
-    Squeezes at several forces are joined to a front. Policies of one label share a marker and a
-    line in the legend. Controllers without a force are left out.
+    Controllers of one family (squeezes at several forces, grips of several frictions, a policy with
+    several budgets) are joined and share a marker, with what each was asked for beside it.
+    Controllers without a force are left out.
 
     Args:
         panels: Controllers by the condition's words.
@@ -100,22 +102,24 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     if not panels:
         raise InputError("panels", "none", "one condition or more")
     points = {title: _points(columns) for title, columns in panels.items()}
-    labels = sorted({p.label for part in points.values() for p in part if not p.is_squeeze})
-    looks = dict(zip(labels, itertools.cycle(_MARKERS)))
+    families = sorted({p.family for part in points.values() for p in part} - _LOOKS.keys())
+    looks = _LOOKS | dict(zip(families, itertools.cycle(_MARKERS)))
     figure = new_figure(4.2 * len(panels), 4.2)
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
-        _front(ax, [p for p in part if p.is_squeeze])
-        for point in part:
-            if not point.is_squeeze:
-                shown[point.label] = _dot(ax, point, *looks[point.label])
+        style(ax)
+        ax.set_ylim(0, 103)
+        ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
         ax.set_title(title, loc="left", fontsize=10, color=GREY)
+        for family in dict.fromkeys(p.family for p in part):
+            shown[family] = _front(ax, [p for p in part if p.family == family], *looks[family])
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
     grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
+    names = [*(name for name in _LEGEND if name in shown), *(n for n in families if n in shown)]
     figure.legend(
-        handles=[grid[0].lines[0], *(shown[label] for label in labels)],
-        labels=["squeeze, by the force commanded", *labels],
+        handles=[shown[name] for name in names],
+        labels=[_LEGEND.get(name, name) for name in names],
         loc="outside lower center", ncols=4, frameon=False, fontsize=8,
     )  # fmt: skip
     return png(figure)
@@ -125,8 +129,8 @@ class _Point(NamedTuple):
     force: float
     mean: float
     interval: tuple[float, float]
-    label: str
-    is_squeeze: bool
+    setting: str
+    family: str
 
 
 def _points(columns: Sequence[Column]) -> list[_Point]:
@@ -137,37 +141,33 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
     """
     points = []
     for column in columns:
-        rows: list[ResultRow] = list(column.rows.values())
         force, _ = column.forces()
         if force is not None:
-            is_squeeze = rows[0].squeeze_force_n is not None
-            points.append(_Point(force, *mean_success(rows), column.label, is_squeeze))
+            family = column.family or column.label
+            setting = column.label.removeprefix(family).strip(", ")
+            points.append(_Point(force, *column.mean(), setting, family))
     if not points:
         raise InputError("columns", [c.label for c in columns], "a controller with a force")
     return points
 
 
-def _front(ax: Axes, squeezes: Sequence[_Point]) -> None:
-    """The squeezes, joined, with their forces to their left and above, and the axes."""
-    style(ax)
-    squeezes = sorted(squeezes)
-    ax.plot([p.force for p in squeezes], [p.mean for p in squeezes], color=_ORANGE, alpha=0.5)
-    for point in squeezes:
-        _dot(ax, point, "s", _ORANGE)
-        ax.annotate(
-            point.label.removeprefix("squeeze "), (point.force, point.mean), xytext=(-17, 10),
-            textcoords="offset points", color=_ORANGE, fontsize=9,
+def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
+    """Controllers of one family, joined, each with what it was asked for to its left and above."""
+    points = sorted(points)
+    ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
+    for point in points:
+        low, high = point.interval
+        dot = ax.errorbar(
+            point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
+            color=colour, capsize=3, markersize=6,
         )  # fmt: skip
-    ax.set_ylim(0, 103)
-    ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
-
-
-def _dot(ax: Axes, point: _Point, marker: str, colour: str) -> ErrorbarContainer:
-    low, high = point.interval
-    return ax.errorbar(
-        point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
-        color=colour, capsize=3, markersize=7,
-    )  # fmt: skip
+        if len(points) > 1:
+            ax.annotate(
+                point.setting.rpartition(", ")[2].removeprefix("budget "),
+                (point.force, point.mean), xytext=(-5, 6), textcoords="offset points",
+                color=colour, fontsize=8, ha="right",
+            )  # fmt: skip
+    return dot
 
 
 def _smooth(values: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:

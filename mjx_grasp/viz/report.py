@@ -13,12 +13,13 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table, headline
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
+    Groups,
     condition_table,
     failure_table,
     force_table,
-    paired_table,
     read_groups,
     untrained_note,
 )
@@ -52,9 +53,11 @@ def write_report(
     provenance = _stored(run / "provenance.json")
     if provenance is None and results_paths:
         provenance = read_results(results_paths[0]).provenance
+    groups = read_groups(results_paths)
     sections = [
+        *([_section("Result", first)] if (first := _headline(groups)) else []),
         _section("A grasp", _video(video_path, video_problem)),
-        _section("Success", _results(results_paths)),
+        _section("Success", _results(groups, results_paths)),
         _section("Training", _curves(run / "metrics.csv")),
         _section("Configuration", _facts(_stored(run / "config.json"), "config.json")),
         _section("Provenance", _facts(provenance, "provenance.json")),
@@ -113,20 +116,27 @@ def _video(path: str | Path | None, problem: str | None) -> str:
     return f"<video src='{source}' controls autoplay loop muted playsinline></video>"
 
 
-def _results(paths: Sequence[str | Path]) -> str:
+def _headline(groups: Groups) -> str:
+    """What came of it in a few sentences, and as a picture where forces were kept."""
+    said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in headline(groups))
+    panels = {
+        condition.short(): columns
+        for condition, columns in groups.items()
+        if any(force is not None for c in columns for force in c.forces())
+    }
+    picture = success_against_force(panels) if panels else None
+    return said + (_image(picture, "mean success against mean contact force") if picture else "")
+
+
+def _results(groups: Groups, paths: Sequence[str | Path]) -> str:
     if not paths:
         return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
-    parts = []
-    groups = read_groups(paths)
+    tables = (make(groups) for make in (equal_force_table, budget_table))
+    parts = [table.html() for table in tables if table.rows]
     for condition, columns in groups.items():
         parts.append(condition_table(condition, columns).html())
-        if any(force is not None for c in columns for force in c.forces()):
-            plot = success_against_force({condition.short(): columns})
-            parts.append(_image(plot, "mean success against mean contact force"))
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
         parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")
-    if (pairs := paired_table(groups)).rows:
-        parts.append(pairs.html())
     extras = [read_results(path).extra for path in paths]
     untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
     return "".join([*parts, *(_note(untrained_note(force)) for force in untrained)])

@@ -52,7 +52,7 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
         "slipped", "ci95", "force_mean_n", "force_peak_n", "squeeze_force_n", "offset_mm",
         "angle_deg", "friction", "handoffs", "outcomes", "force_held_n", "force_peak_p50_n",
         "force_peak_p99_n", "forces_n", "starts", "squeeze_split", "grip_force_n",
-        "grip_friction", "mass_scale",
+        "grip_friction", "mass_scale", "force_budget_n", "robot_errors",
     }  # fmt: skip
 
 

@@ -7,8 +7,6 @@ from scipy import stats
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.statistics import (
     bootstrap_mean_interval,
-    compare_paired,
-    mcnemar_exact,
     mean_rate_interval,
     wilson_interval,
 )
@@ -62,24 +60,6 @@ def test_the_bootstrap_of_a_constant_has_no_width():
     assert bootstrap_mean_interval(np.full(9, 4.0), seed=0) == (4.0, 4.0)
 
 
-@given(st.integers(0, 60), st.integers(0, 60))
-def test_mcnemar_is_the_binomial_test_of_the_discordant_pairs(b, c):
-    expected = stats.binomtest(b, b + c).pvalue if b + c else 1.0
-    assert mcnemar_exact(b, c) == pytest.approx(expected)
-    assert mcnemar_exact(b, c) == mcnemar_exact(c, b)
-
-
-def test_a_paired_comparison_counts_and_changes_sign_with_the_order():
-    first = np.array([1, 1, 1, 0, 0, 1, 1, 1], bool)
-    second = np.array([1, 0, 0, 1, 0, 0, 0, 1], bool)
-    result = compare_paired(first, second)
-    assert (result.both, result.only_first, result.only_second, result.neither) == (2, 4, 1, 1)
-    assert result.difference == pytest.approx(37.5)
-    assert result.p_value == pytest.approx(0.375)
-    assert result.ci95[0] <= result.difference <= result.ci95[1]
-    assert compare_paired(second, first).difference == -result.difference
-
-
 @pytest.mark.wrong_types
 @pytest.mark.parametrize(
     "call",
@@ -89,8 +69,6 @@ def test_a_paired_comparison_counts_and_changes_sign_with_the_order():
         lambda: wilson_interval(1, 2, confidence=95),
         lambda: mean_rate_interval(np.array([], int), np.array([], int)),
         lambda: bootstrap_mean_interval(np.array([1.0, np.nan]), seed=0),
-        lambda: compare_paired(np.ones(3, bool), np.ones(4, bool)),
-        lambda: mcnemar_exact(-1, 2),
     ],
 )
 def test_what_cannot_be_an_input_is_refused(call):

@@ -15,7 +15,6 @@ from mjx_grasp.evaluation.tables import (
     condition_table,
     failure_table,
     force_table,
-    paired_table,
     read_groups,
     success_table,
 )
@@ -104,48 +103,6 @@ def test_files_are_sorted_into_conditions(tmp_path):
     assert len(force_table(first, columns).rows) == 8
     failures = failure_table(first, columns)
     assert cells(failures, "never lifted")[1:] == ("10.0", "30.0", "50.0", "4.9", "23.8")
-
-
-def outcomes(of, force=None, **changes):
-    """Rows of the eight with these outcomes, alternately."""
-    made = []
-    for i, name in enumerate(paper.OBJECTS):
-        letters = of[i % len(of)]
-        made.append(row(name, letters.count("S"), force, outcomes=letters, **changes))
-    return made
-
-
-def test_policy_and_squeeze_from_the_same_starts_are_compared_trial_by_trial(tmp_path):
-    policy, squeeze = ("S" * 10, "S" * 4 + "L" * 6), ("S" * 9 + "L", "L" * 4 + "S" * 6)
-    rows = [*outcomes(policy), *outcomes(squeeze, 3.0), *outcomes(policy, 5.0)]
-    write_results(tmp_path / "one.json", rows, PROVENANCE, FIRST_ROBOT)
-    first, second = paired_table(read_groups([tmp_path / "one.json"])).rows
-    assert first[1:5] == ("policy − squeeze 3 N", first[2], "20", "24")
-    difference = 100 * (14 - 15) / 20
-    assert first[2].startswith(f"{difference:+.1f} (") and first[-1] == "2.0 / 2.0"
-    assert second[1:6] == ("policy − squeeze 5 N", "+0.0 (+0.0 to +0.0)", "0", "0", "1")
-
-
-def test_only_trials_of_the_same_draws_are_paired(tmp_path):
-    made = {"settings": {"states": "evaluation", "objects": ["eight"]}}
-    kept = made | {"sha256": {"handoffs": "0a"}}
-    paths = [tmp_path / "policy.json", tmp_path / "squeeze.json"]
-
-    def pairs(*, seed=0, first=None, second=None, letters="S" * 10):
-        write_results(paths[0], outcomes(["S" * 10]), PROVENANCE, FIRST_ROBOT, **(first or kept))
-        squeeze = outcomes([letters], 3.0) if letters else eight(10, 3.0)
-        write_results(
-            paths[1], squeeze, PROVENANCE | {"seed": seed}, FIRST_ROBOT, **(second or kept)
-        )
-        return len(paired_table(read_groups(paths)).rows)
-
-    assert pairs() == 1
-    assert pairs(seed=1) == 0
-    assert pairs(second=made) == 0  # not known from which states
-    assert pairs(first=made, second=made) == 0
-    assert pairs(second=kept | {"sha256": {"handoffs": "0b"}}) == 0
-    assert pairs(second=kept | {"settings": made["settings"] | {"objects": ["apple"]}}) == 0
-    assert pairs(letters="") == 0  # a file from before
 
 
 def test_two_files_may_not_claim_the_same_outcome(tmp_path):

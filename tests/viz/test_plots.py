@@ -10,7 +10,7 @@ from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
 
-BLUE, ORANGE = (37, 99, 168), (200, 100, 30)
+BLUE, ORANGE, VIOLET = (37, 99, 168), (200, 100, 30), (122, 79, 163)
 
 
 def pixels(png):
@@ -28,7 +28,7 @@ def column(label, successes, force, squeeze=None):
         force_mean_n=force, force_peak_n=force, squeeze_force_n=squeeze, offset_mm=5.0,
         angle_deg=0.0, friction=0.8, handoffs="ik",
     )  # fmt: skip
-    return Column(label, {"apple": row})
+    return Column(label, {"apple": row}, family="squeeze" if squeeze else label)
 
 
 def test_metrics_keep_their_numbers_and_turn_the_rest_to_nan(tmp_path):
@@ -102,8 +102,7 @@ def test_conditions_stand_side_by_side_and_policies_share_their_label():
     )
     half = both.shape[1] // 2
     right = both[: int(0.85 * len(both)), half:]  # without the legend
-    green = (46, 139, 87)
     assert of_colour(both, BLUE).any() and not of_colour(right, BLUE).any()
-    assert of_colour(right, green).any() and of_colour(right, ORANGE).any()
+    assert of_colour(right, VIOLET).any() and of_colour(right, ORANGE).any()
     with pytest.raises(InputError, match="panels"):
         success_against_force({})

@@ -98,16 +98,26 @@ def test_a_gif_is_shown_as_a_picture(run):
     assert "video" not in page.tags
 
 
-def test_the_report_compares_trial_by_trial_where_the_trials_were_kept(run):
+def test_the_report_begins_with_what_came_of_it(run):
+    """Where forces and starts were kept: the policy against a squeeze of its own force."""
+    kept = dict(force_peak_p50_n=4.0, force_peak_p99_n=8.0, starts=tuple(range(64)))
     rows = [
-        replace(result(n, force), outcomes="S" * n + "L" * (64 - n))
+        replace(
+            result(n, force),
+            outcomes="S" * n + "L" * (64 - n),
+            forces_n=(2.0 + (force or 0),) * 64,
+            **kept,
+        )
         for n, force in ((60, None), (40, 3.0))
     ]
     for results, said in (([result(60), result(40, 3.0)], False), (rows, True)):
         write_results(run / "results.json", results, PROVENANCE, FIRST_ROBOT)
         text = written(run).text
-        assert ("policy − squeeze 3 N" in text) == said
-        assert ("+31.2 (" in text) == said
+        begin = text.split("A grasp")[0]
+        assert ("policy: 93.8 % lifted at 2.0 N per finger" in begin) == said
+        # On the line from nothing to 62.5 % at 5 N.
+        assert ("At that force a squeeze lifts 25.0 %" in begin) == said
+        assert ("At equal force, points" in text) == said
 
 
 def test_the_report_says_which_squeeze_is_the_untrained_policy(run):

@@ -1,0 +1,175 @@
+"""Who lifts more with the same force: tables and sentences on controllers from the same starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_grasp.evaluation.judging import (
+    Estimate,
+    SameStarts,
+    Weights,
+    gain_at_equal_force,
+    gains_within,
+    mean_force,
+    mean_success,
+    resampled,
+    same_starts,
+    success_within,
+)
+from mjx_grasp.evaluation.tables import Column, Condition, Groups
+from mjx_grasp.records.table import Table
+
+BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0)
+_BASELINES = ("squeeze", "grip")
+
+
+class Front(NamedTuple):
+    """Controllers that ran from the same starts, by the family that differs in its force alone."""
+
+    families: dict[str, list[int]]
+    columns: list[Column]
+    trials: SameStarts
+    weights: Weights
+
+    def against(self, one: int, family: str) -> Estimate:
+        """Gain of one controller over a family at equal force [points]."""
+        order = [one, *self.families[family]]
+        trials = self.trials._replace(
+            success=self.trials.success[order], force=self.trials.force[order]
+        )
+        return gain_at_equal_force(trials, self.weights, range(1, len(order)))
+
+    def within(self, family: str, budgets: Sequence[float]) -> Float[np.ndarray, " b"]:
+        """Success of a family within budgets [%]."""
+        asked = np.asarray(budgets, float)
+        return success_within(self.trials, self.weights[:1], self.families[family], asked)[0]
+
+    def gains(self, first: str, second: str, budgets: Sequence[float]) -> list[Estimate]:
+        """Difference of two families' success within budgets [points]."""
+        which = self.families[first], self.families[second]
+        return gains_within(self.trials, self.weights, *which, np.asarray(budgets, float))
+
+    def others(self, family: str) -> list[str]:
+        """The baselines beside a family."""
+        return [name for name in _BASELINES if name in self.families and name != family]
+
+
+def fronts(columns: Sequence[Column]) -> list[Front]:
+    """Sorts controllers of one condition by the starts that they share.
+
+    Those whose trials were not kept with forces and starts are left out, and those that share their
+    starts with no other.
+    """
+    by_draws: dict[tuple, list[Column]] = {}
+    for column in columns:
+        rows = sorted(column.rows.values(), key=lambda row: row.object)
+        if all(row.forces_n and row.starts for row in rows):
+            starts = (*column.draws, *(row.starts for row in rows))
+            by_draws.setdefault(starts, []).append(column)
+    found = []
+    for group in by_draws.values():
+        families: dict[str, list[int]] = {}
+        for i, column in enumerate(group):
+            families.setdefault(column.family, []).append(i)
+        if len(families) > 1:
+            trials = same_starts([tuple(column.rows.values()) for column in group])
+            found.append(Front(families, group, trials, resampled(trials)))
+    return found
+
+
+def equal_force_table(groups: Groups) -> Table:
+    """Policies and grips against the baselines' fronts at the force that they took themselves.
+
+    The fronts are joined by straight lines; the intervals draw the start states anew.
+    """
+    rows = []
+    for condition, front in _all(groups):
+        success = mean_success(front.trials, front.weights[:1])[0]
+        force = mean_force(front.trials, front.weights[:1])[0]
+        for i in (i for name, part in front.families.items() if name != "squeeze" for i in part):
+            column = front.columns[i]
+            gains = [
+                front.against(i, name).text()
+                if name in front.families and name != column.family
+                else ""
+                for name in _BASELINES
+            ]
+            rows.append(
+                (
+                    condition.short(),
+                    column.label,
+                    f"{success[i]:.1f}",
+                    f"{force[i]:.1f}",
+                    *gains,
+                    " / ".join(f"{peak:.0f}" for peak in _peaks(column)),
+                )
+            )
+    header = (
+        *("condition", "controller", "success %", "force N"),
+        *(f"− {name} at this force" for name in _BASELINES),
+        "peak N, median / 99th percentile",
+    )
+    return Table("At equal force, points", header, tuple(rows), names=2)
+
+
+def budget_table(groups: Groups) -> Table:
+    """Share of trials that are lifted within a mean force per finger, and differences of it.
+
+    Of a controller with several settings it is the best setting's for each budget.
+    """
+    rows = []
+    for condition, front in _all(groups):
+        for name in front.families:
+            values = front.within(name, BUDGETS_N)
+            rows.append((condition.short(), name, *(f"{value:.1f}" for value in values)))
+        for name in front.families:
+            for other in front.others(name) if name != "squeeze" else ():
+                gains = (gain.text() for gain in front.gains(name, other, BUDGETS_N))
+                rows.append((condition.short(), f"{name} − {other}", *gains))
+    header = ("condition", "controller", *(f"{budget:g} N" for budget in BUDGETS_N))
+    return Table("Lifted within a mean force per finger, %", header, tuple(rows), names=2)
+
+
+def headline(groups: Groups) -> list[str]:
+    """What came of the policies, in sentences: success, force, peaks, and the baselines'."""
+    sentences = []
+    for _, front in _all(groups):
+        success = mean_success(front.trials, front.weights[:1])[0]
+        force = mean_force(front.trials, front.weights[:1])[0]
+        for i, column in enumerate(front.columns):
+            if column.family in _BASELINES:
+                continue
+            median, high = _peaks(column)
+            sentences.append(
+                f"{column.label}: {success[i]:.1f} % lifted at {force[i]:.1f} N per finger; "
+                f"largest force on a finger {median:.1f} N in the median, {high:.1f} N in the 99th "
+                "percentile."
+            )
+            sentences += [
+                f"At that force a {name} lifts {success[i] - gain.value:.1f} %: "
+                f"the policy gains {gain.text()} points."
+                for name in front.others(column.family)
+                for gain in [front.against(i, name)]
+            ]
+    return sentences
+
+
+def _all(groups: Groups) -> Iterator[tuple[Condition, Front]]:
+    for condition, columns in groups.items():
+        for front in fronts(columns):
+            yield condition, front
+
+
+def _peaks(column: Column) -> tuple[float, float]:
+    """Mean over the objects of the median, and of the 99th percentile, of the peak force [N]."""
+    peaks = [
+        (row.force_peak_p50_n, row.force_peak_p99_n)
+        for row in column.rows.values()
+        if row.force_peak_p50_n is not None and row.force_peak_p99_n is not None
+    ]
+    median, high = np.mean(peaks, axis=0) if peaks else (np.nan, np.nan)
+    return float(median), float(high)

@@ -1,0 +1,160 @@
+"""Controllers compared at equal force, and within a budget of force, from the same starts.
+
+A harder squeeze lifts almost everything, so success says something beside its force only. Trials
+from one start state often end alike: what is drawn anew for an interval is the start states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
+from mjx_grasp.evaluation.statistics import Interval
+
+RESAMPLES = 2_000
+
+
+class SameStarts(NamedTuple):
+    """Trials of c controllers from the same n starts."""
+
+    success: Bool[np.ndarray, "c n"]
+    force: Float[np.ndarray, "c n"]
+    """mean finger force from lift onset [N]; nan where no lift began"""
+    object: Int[np.ndarray, " n"]
+    start: Int[np.ndarray, " n"]
+    """start state, within its object"""
+
+
+class Estimate(NamedTuple):
+    """A number and its bootstrap 95 % interval."""
+
+    value: float
+    ci95: Interval
+
+    def text(self) -> str:
+        """As a difference in points."""
+        low, high = self.ci95
+        return f"{self.value:+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+Weights = Float[np.ndarray, "r n"]
+"""How much each trial counts, in what was run (first) and in each resampling of its starts."""
+
+
+def same_starts(controllers: Sequence[Sequence[ResultRow]]) -> SameStarts:
+    """Trials of controllers side by side.
+
+    Args:
+        controllers: The rows of each, one per object.
+
+    Raises:
+        InputError: Their objects or starts differ, or outcomes, forces or starts were not kept.
+    """
+    ordered = [sorted(rows, key=lambda row: row.object) for rows in controllers]
+    starts = [[(row.object, row.starts) for row in rows] for rows in ordered]
+    whole = all(r.outcomes and r.forces_n and r.starts for rows in ordered for r in rows)
+    if not ordered or not whole or any(other != starts[0] for other in starts):
+        raise InputError("rows", "trials without starts or from others", "trials of the same ones")
+    lengths = [row.episodes for row in ordered[0]]
+    return SameStarts(
+        np.array(
+            [[c == OUTCOMES["successes"] for r in rows for c in r.outcomes] for rows in ordered]
+        ),
+        np.array([[f for r in rows for f in r.forces_n] for rows in ordered], float),
+        np.repeat(np.arange(len(lengths)), lengths),
+        np.array([start for row in ordered[0] for start in row.starts]),
+    )
+
+
+def resampled(trials: SameStarts, seed: int = 0, resamples: int = RESAMPLES) -> Weights:
+    """Weights of the trials as they were run, then with each object's start states drawn anew.
+
+    Every object counts the same. Trials of one start state are drawn together.
+
+    Args:
+        trials: Whose starts.
+        seed: Of the draws.
+        resamples: How many.
+    """
+    rng = np.random.default_rng(seed)
+    weights = np.empty((resamples + 1, len(trials.object)))
+    objects = np.unique(trials.object)
+    for k in objects:
+        members = np.flatnonzero(trials.object == k)
+        states, state = np.unique(trials.start[members], return_inverse=True)
+        even = np.full(len(states), 1.0 / len(states))
+        drawn = np.vstack([np.ones(len(states)), rng.multinomial(len(states), even, resamples)])
+        part = drawn[:, state]
+        weights[:, members] = part / part.sum(axis=1, keepdims=True) / len(objects)
+    return weights
+
+
+def mean_success(trials: SameStarts, weights: Weights) -> Float[np.ndarray, "r c"]:
+    """Mean over the objects of the share of successful trials [%]."""
+    return 100.0 * weights @ trials.success.T
+
+
+def mean_force(trials: SameStarts, weights: Weights) -> Float[np.ndarray, "r c"]:
+    """Mean over the objects of the mean force of the trials that began to lift [N]."""
+    began = np.isfinite(trials.force)
+    means = []
+    for k in np.unique(trials.object):
+        part = trials.object == k
+        total = weights[:, part] @ np.where(began, trials.force, 0.0)[:, part].T
+        with np.errstate(invalid="ignore"):
+            means.append(total / (weights[:, part] @ began[:, part].T))
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(means)
+        return np.where(known, means, 0.0).sum(axis=0) / known.sum(axis=0)
+
+
+def gain_at_equal_force(trials: SameStarts, weights: Weights, others: Sequence[int]) -> Estimate:
+    """By how much the first controller lifts more often than the others at its force [points].
+
+    The others, one controller at several forces, are joined by straight lines that begin with no
+    success at no force and stay level beyond the largest.
+    """
+    success, force = mean_success(trials, weights), mean_force(trials, weights)
+    order = np.argsort(np.nan_to_num(force[:, others]), axis=1)
+    x = np.take_along_axis(np.nan_to_num(force[:, others]), order, axis=1)
+    y = np.take_along_axis(success[:, others], order, axis=1)
+    x, y = (np.pad(values, ((0, 0), (1, 0))) for values in (x, y))
+    at = zip(np.nan_to_num(force[:, 0]), x, y, strict=True)
+    return _estimate(success[:, 0] - np.array([np.interp(*point) for point in at]))
+
+
+def success_within(
+    trials: SameStarts,
+    weights: Weights,
+    controllers: Sequence[int],
+    budgets: Float[np.ndarray, " b"],
+) -> Float[np.ndarray, "r b"]:
+    """Share of trials that are lifted with a mean force within each budget [%].
+
+    Of one controller at several settings it is the best setting's for each budget.
+    """
+    within = trials.success[controllers] & (trials.force[controllers] <= budgets[:, None, None])
+    return 100.0 * np.max(weights @ np.swapaxes(within, -1, -2), axis=-1).T
+
+
+def gains_within(
+    trials: SameStarts,
+    weights: Weights,
+    first: Sequence[int],
+    second: Sequence[int],
+    budgets: Float[np.ndarray, " b"],
+) -> list[Estimate]:
+    """Difference of two controllers' success within each budget [points]."""
+    of = (success_within(trials, weights, which, budgets) for which in (first, second))
+    one, other = of
+    return [_estimate(values) for values in (one - other).T]
+
+
+def _estimate(values: Float[np.ndarray, " r"]) -> Estimate:
+    low, high = np.quantile(values[1:], [0.025, 0.975])
+    return Estimate(float(values[0]), (float(low), float(high)))

@@ -144,17 +144,17 @@ def headline(groups: Groups) -> list[str]:
             if column.family in _BASELINES:
                 continue
             median, high = _peaks(column)
-            sentences.append(
-                f"{column.label}: {success[i]:.1f} % lifted at {force[i]:.1f} N per finger; "
-                f"largest force on a finger {median:.1f} N in the median, {high:.1f} N in the 99th "
-                "percentile."
-            )
-            sentences += [
-                f"At that force a {name} lifts {success[i] - gain.value:.1f} %: "
-                f"the policy gains {gain.text()} points."
+            against = [
+                f"a {name} of the same force lifts {success[i] - gain.value:.1f} %, "
+                f"{gain.text()} points"
                 for name in front.others(column.family)
                 for gain in [front.against(i, name)]
             ]
+            sentences.append(
+                f"{column.label}: {success[i]:.1f} % lifted at {force[i]:.1f} N per finger, "
+                f"largest force on a finger {median:.1f} N in the median and {high:.1f} N in the "
+                f"99th percentile; {'; '.join(against)}."
+            )
     return sentences
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from rich.console import Console
 
 from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import evaluate, model_based, policy_task
-from mjx_grasp.evaluation.tables import success_table, untrained_note
+from mjx_grasp.evaluation.tables import read_groups, success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
@@ -24,7 +25,11 @@ from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training.config import TrainConfig
 
-SQUEEZE_FORCES_N = (3.0, 5.0)
+SQUEEZE_FORCES_N = (1.0, 3.0, 5.0, 8.0)
+GRIP_FRICTIONS = (0.4, 0.55, 0.8)
+"""μ₀ of the grips beside a policy that adds to one: each is a point of the grip's front."""
+FORCE_BUDGETS_N = (1.5, 2.5, 4.0)
+"""That a policy which knows a budget is given."""
 
 
 def evaluate_run(
@@ -48,7 +53,9 @@ def evaluate_run(
     rows: list[ResultRow] = []
     runs: list[Trials] = []
     others = baselines(base, task)
-    for chosen, controller in ((base, policy), *((other, None) for other in others)):
+    budgets = FORCE_BUDGETS_N if task.observation.budget else (base.force_budget,)
+    own = [(replace(base, force_budget=budget), policy) for budget in budgets]
+    for chosen, controller in (*own, *((other, None) for other in others)):
         new, trials = evaluate(
             held_out, states.object_names, chosen, controller, states.kind, console, task
         )
@@ -57,11 +64,13 @@ def evaluate_run(
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
     robot = scene.robot.identity
-    own = {} if answers_to_load(task) else {"untrained_n": task.grip.force}
-    write_results(base.out, rows, made, robot, label=label, **own, **counted)
+    untrained = {} if answers_to_load(task) else {"untrained_n": task.grip.force}
+    write_results(base.out, rows, made, robot, label=label, **untrained, **counted)
     console.print(success_table(rows, scans=config.objects_dir is not None))
-    for force in own.values():
+    for force in untrained.values():
         console.print(untrained_note(force))
+    for sentence in headline(read_groups([base.out])):
+        console.print(sentence)
 
     shown = best_grasp(held_out, states.object_names[0], policy, config.noise, base.seed)
     save_trajectory(folder / "grasp.npz", shown)
@@ -92,16 +101,19 @@ def answers_to_load(task: TaskConfig) -> bool:
 
 
 def baselines(base: EvaluateConfig, task: TaskConfig) -> list[EvaluateConfig]:
-    """What a policy is compared with: squeezes, and its own command if that is none of them.
+    """What a policy is compared with: squeezes, and grips like its own command if that is one.
 
     Args:
         base: The condition.
         task: Whose command the policy adds to: before training it adds nothing.
     """
-    own_grip = answers_to_load(task)
-    forces = sorted({*SQUEEZE_FORCES_N, *(() if own_grip else (task.grip.force,))})
-    squeezes = [replace(base, controller="squeeze", squeeze_force=force) for force in forces]
-    return [*squeezes, *([replace(base, controller="grip", grip=task.grip)] if own_grip else [])]
+    answers = answers_to_load(task)
+    forces = sorted({*SQUEEZE_FORCES_N, *(() if answers else (task.grip.force,))})
+    grips = [replace(task.grip, friction=friction) for friction in GRIP_FRICTIONS]
+    return [
+        *(replace(base, controller="squeeze", squeeze_force=force) for force in forces),
+        *(replace(base, controller="grip", grip=grip) for grip in grips if answers),
+    ]
 
 
 def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed: int) -> Trajectory:

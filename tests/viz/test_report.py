@@ -116,7 +116,7 @@ def test_the_report_begins_with_what_came_of_it(run):
         begin = text.split("A grasp")[0]
         assert ("policy: 93.8 % lifted at 2.0 N per finger" in begin) == said
         # On the line from nothing to 62.5 % at 5 N.
-        assert ("At that force a squeeze lifts 25.0 %" in begin) == said
+        assert ("a squeeze of the same force lifts 25.0 %" in begin) == said
         assert ("At equal force, points" in text) == said
 
 

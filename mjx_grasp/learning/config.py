@@ -41,6 +41,8 @@ class PPOConfig(Settings):
     """weight of the entropy bonus [-]"""
     learning_rate: Positive = 1e-3
     """Adam's, at the beginning where it adapts to --ppo.desired-kl [-]"""
+    critic_rate: Positive | None = None
+    """Adam's for the critic, which need not wait for the actor's; None: the same [-]"""
     desired_kl: Positive | None = 0.01
     """target of the adaptive learning rate; None keeps the rate fixed [nat]"""
     gradient_norm: Positive = 1.0

@@ -120,7 +120,11 @@ def make_iteration(
                 optimizer_state, metrics["kl_mean"], config.desired_kl
             )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state)
-        metrics["learning_rate"] = optimizer_state[-1].hyperparams["learning_rate"]
+        metrics["learning_rate"] = rate = optimizer_state[-1].hyperparams["learning_rate"]
+        if config.critic_rate is not None:
+            # Adam's step is proportional to its rate.
+            ratio = config.critic_rate / rate
+            updates = updates.replace(value=jax.tree.map(lambda step: ratio * step, updates.value))
         return (optimizer_state, optax.apply_updates(params, updates), key), metrics
 
     def epoch(

@@ -58,7 +58,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("action_acceleration", config.action_acceleration, action_acceleration),
     )
     gentle = (
-        RewardTerm("held", config.held, lambda m: jnp.where(m.lifting, held(m, config), 0.0)),
+        RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
     )
@@ -102,7 +102,10 @@ def action_acceleration(moment: Moment) -> Float[Array, "*b"]:
 
 
 def held(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
-    """exp(−(s/σ)²), s the displacement of the object in the palm since lift onset."""
+    """exp(−(s/σ)²), s the displacement of the object in the palm since lift onset, 0 before.
+
+    Were it paid in the lift alone, to lift hastily would pay more than to lift surely.
+    """
     return jnp.exp(-((moment.slip / config.held_scale) ** 2))
 
 

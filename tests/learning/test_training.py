@@ -119,6 +119,28 @@ def test_long_gradients_are_shortened_and_the_rate_is_the_configured_one():
     np.testing.assert_allclose(updates["w"], [-0.01, 0.01], rtol=1e-3)
 
 
+def test_the_critic_may_learn_at_a_rate_of_its_own(env, trained):
+    """As fast as the actor it is what it is without; at next to none only the actor changes."""
+    (first, *_), _ = trained
+
+    def after(**rates):
+        config = tiny.ppo(desired_kl=None, learning_rate=1e-3, **rates)
+        return jax.jit(make_iteration(config, env))(first)[0].params
+
+    def change(params, of):
+        pairs = zip(
+            jax.tree.leaves(getattr(params, of)),
+            jax.tree.leaves(getattr(first.params, of)),
+            strict=True,
+        )
+        return max(float(jnp.abs(a - b).max()) for a, b in pairs)
+
+    plain, same, slow = after(), after(critic_rate=1e-3), after(critic_rate=1e-9)
+    for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(same), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7)
+    assert change(slow, "value") < 1e-7 < 1e-4 < change(slow, "policy")
+
+
 def test_actor_sees_66_numbers_and_the_critic_more(env, trained):
     params = trained[0][0].params
     assert params.policy["params"]["MLP_0"]["hidden_0"]["kernel"].shape == (66, 8)

@@ -147,3 +147,12 @@ def test_turning_the_world_about_the_vertical_changes_nothing(seed, angle):
 def test_contact_counts_fingers_in_batches():
     touching = jnp.array([[True, False, True], [False] * 3, [True] * 3])
     np.testing.assert_array_equal(rewards.contact(moment(touching=touching)), [2, 0, 3])
+
+
+def test_holding_pays_as_much_before_the_lift_as_in_it():
+    """Whoever is paid for the lift alone lifts hastily."""
+    (held,) = [t for t in rewards.closing_terms(RewardConfig(held=4.0)) if t.name == "held"]
+    assert held.weight == 4.0
+    assert held.value(moment(lifting=False)) == held.value(moment(lifting=True)) == 1.0
+    slipped = held.value(moment(lifting=True, slip=CONFIG.held_scale))
+    np.testing.assert_allclose(slipped, np.exp(-1.0), rtol=1e-6)

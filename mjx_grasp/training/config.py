@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from mjx_grasp.closing.config import ActionConfig, GripConfig, LiftConfig
+from mjx_grasp.closing.config import REACTING, ActionConfig, GripConfig, LiftConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
@@ -21,7 +22,12 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
-from mjx_grasp.tasks.config import StartNoise, task_from_record
+from mjx_grasp.tasks.config import (
+    ObservationConfig,
+    RewardConfig,
+    StartNoise,
+    task_from_record,
+)
 
 Preset = Literal["auto", "cpu", "gpu", "paper"]
 
@@ -32,8 +38,9 @@ class TrainConfig(CommandSettings):
 
     preset: Preset = "auto"
     """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise. What this help shows
-    as the other settings' defaults is what the preset sets. paper has the published actions, critic
-    and number of worlds and steps; what the publication leaves open is as in the others."""
+    as the other settings' defaults is what the preset sets. cpu and gpu train a policy that feels
+    forces and is given a budget of them, on a grip that answers to load; paper has the published
+    observation, command, actions, critic and number of worlds and steps."""
     objects: tuple[str, ...] = ("eight",)
     """objects of the catalogue, or groups (eight, train, held_out, all), to train on"""
     objects_dir: Path | None = None
@@ -64,6 +71,22 @@ class TrainConfig(CommandSettings):
     loop: LoopConfig = field(default_factory=LoopConfig)
 
 
+FEELING = TaskConfig(
+    grip=REACTING,
+    observation=ObservationConfig(forces=True, budget=True),
+    reward=RewardConfig(held=4.0, over_budget=-0.5),
+)
+"""A policy that senses forces and keeps to a budget of them, on a grip that answers to load."""
+VARIED = StartNoise(
+    offset_m=0.01,
+    angle_rad=math.radians(5.0),
+    friction=(0.4, 1.0),
+    mass_scale=(0.8, 1.25),
+    budget_n=(1.5, 6.0),
+)
+"""What its training draws anew at each reset."""
+
+
 def preset_config(preset: str) -> TrainConfig:
     """The configuration behind a preset's name.
 
@@ -77,18 +100,22 @@ def preset_config(preset: str) -> TrainConfig:
     if preset == "cpu":
         return TrainConfig(
             preset="cpu",
-            scene=SceneConfig(fix_idle_fingers=True),
+            scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
+            task=FEELING,
+            noise=VARIED,
             objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",
-            ppo=PPOConfig(worlds=128, unroll=32, iterations=360),
+            ppo=PPOConfig(worlds=128, unroll=32, iterations=300, action_std=0.2, critic_rate=1e-3),
         )
     if preset == "gpu":
         return TrainConfig(
             preset="gpu",
             fit_memory=True,
             scene=SceneConfig(fix_idle_fingers=True),
-            ppo=PPOConfig(unroll=16, iterations=240),
+            task=FEELING,
+            noise=VARIED,
+            ppo=PPOConfig(unroll=16, iterations=240, critic_rate=1e-3),
         )
     if preset == "paper":
         return TrainConfig(

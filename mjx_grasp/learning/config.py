@@ -55,6 +55,9 @@ class PPOConfig(Settings):
     """units of each hidden layer of actor and critic, ELU [-]"""
     action_std: Positive = 0.3
     """initial standard deviation of the actions, which reach from −1 to 1 [-]"""
+    value_clip: Positive | None = None
+    """how far an iteration may move the critic's values, in scaled rewards: its targets are made of
+    its own values, which may run away together; None for no bound [-]"""
     privileged_critic: bool = True
     """whether the critic sees the simulator's state; the actor never does"""
     stagger: bool = True

@@ -107,6 +107,7 @@ def make_iteration(
             gae_lambda=config.gae_lambda,
             clipping_epsilon=config.clip,
             vf_coefficient=config.value_weight,
+            clipping_epsilon_value=config.value_clip,
         ),
         has_aux=True,
     )

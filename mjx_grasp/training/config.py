@@ -106,7 +106,14 @@ def preset_config(preset: str) -> TrainConfig:
             objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",
-            ppo=PPOConfig(worlds=128, unroll=32, iterations=300, action_std=0.2, critic_rate=1e-3),
+            ppo=PPOConfig(
+                worlds=128,
+                unroll=32,
+                iterations=300,
+                action_std=0.2,
+                critic_rate=1e-3,
+                value_clip=0.5,
+            ),
         )
     if preset == "gpu":
         return TrainConfig(
@@ -115,7 +122,7 @@ def preset_config(preset: str) -> TrainConfig:
             scene=SceneConfig(fix_idle_fingers=True),
             task=FEELING,
             noise=VARIED,
-            ppo=PPOConfig(unroll=16, iterations=240, critic_rate=1e-3),
+            ppo=PPOConfig(unroll=16, iterations=240, critic_rate=1e-3, value_clip=0.5),
         )
     if preset == "paper":
         return TrainConfig(

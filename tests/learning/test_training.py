@@ -100,13 +100,13 @@ def test_the_settings_reach_the_loss(env, trained, monkeypatch):
     monkeypatch.setattr(ppo_module.losses, "compute_ppo_loss", spy)
     config = tiny.ppo(
         **dict(discount=0.9, gae_lambda=0.8, clip=0.1, entropy=0.02),
-        **dict(reward_scale=0.3, value_weight=0.7),
+        **dict(reward_scale=0.3, value_weight=0.7, value_clip=0.4),
     )
     jax.eval_shape(make_iteration(config, env), trained[0][0])
     del given["ppo_network"]
     assert given == {
         **dict(discounting=0.9, gae_lambda=0.8, clipping_epsilon=0.1, entropy_cost=0.02),
-        **dict(reward_scaling=0.3, vf_coefficient=0.7),
+        **dict(reward_scaling=0.3, vf_coefficient=0.7, clipping_epsilon_value=0.4),
     }
 
 

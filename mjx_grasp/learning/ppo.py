@@ -96,7 +96,7 @@ def make_iteration(
     """One PPO iteration: a rollout, then epochs of minibatches. To be jitted by the caller."""
     nets = make_networks(config, env)
     optimizer = make_optimizer(config)
-    make_policy = networks.make_inference_fn(nets)
+    make_policy = networks.make_inference_fn(nets, compute_value=config.value_clip is not None)
     loss_and_gradient = jax.value_and_grad(
         functools.partial(
             losses.compute_ppo_loss,

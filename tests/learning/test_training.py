@@ -141,6 +141,21 @@ def test_the_critic_may_learn_at_a_rate_of_its_own(env, trained):
     assert change(slow, "value") < 1e-7 < 1e-4 < change(slow, "policy")
 
 
+def test_the_critic_moves_no_further_in_an_iteration_than_its_bound(env, trained):
+    """At a rate at which it would otherwise run far."""
+    (first, *_), _ = trained
+
+    def moved(**clip):
+        config = tiny.ppo(desired_kl=None, critic_rate=0.03, reward_scale=10.0, epochs=8, **clip)
+        state = jax.jit(make_iteration(config, env))(first)[0]
+        value = make_networks(config, env).value_network.apply
+        obs = env.reset(jax.random.PRNGKey(0)).obs
+        before, after = (value(s.normalizer, s.params.value, obs) for s in (first, state))
+        return float(jnp.abs(after - before).mean())
+
+    assert moved(value_clip=0.05) < 0.5 * moved()
+
+
 def test_actor_sees_66_numbers_and_the_critic_more(env, trained):
     params = trained[0][0].params
     assert params.policy["params"]["MLP_0"]["hidden_0"]["kernel"].shape == (66, 8)

@@ -43,10 +43,10 @@ class Front(NamedTuple):
         )
         return gain_at_equal_force(trials, self.weights, range(1, len(order)))
 
-    def within(self, family: str, budgets: Sequence[float]) -> Float[np.ndarray, " b"]:
-        """Success of a family within budgets [%]."""
+    def within(self, family: str, budgets: Sequence[float]) -> Float[np.ndarray, "r b"]:
+        """Success of a family within budgets, as it was and with the starts drawn anew [%]."""
         asked = np.asarray(budgets, float)
-        return success_within(self.trials, self.weights[:1], self.families[family], asked)[0]
+        return success_within(self.trials, self.weights, self.families[family], asked)
 
     def gains(self, first: str, second: str, budgets: Sequence[float]) -> list[Estimate]:
         """Difference of two families' success within budgets [points]."""
@@ -79,6 +79,14 @@ def fronts(columns: Sequence[Column]) -> list[Front]:
             trials = same_starts([tuple(column.rows.values()) for column in group])
             found.append(Front(families, group, trials, resampled(trials)))
     return found
+
+
+def front_panels(groups: Groups) -> dict[str, Front]:
+    """The controllers that can be compared, by the condition's words; the first set of each."""
+    panels: dict[str, Front] = {}
+    for condition, front in _all(groups):
+        panels.setdefault(condition.short(), front)
+    return panels
 
 
 def equal_force_table(groups: Groups) -> Table:
@@ -124,7 +132,7 @@ def budget_table(groups: Groups) -> Table:
     rows = []
     for condition, front in _all(groups):
         for name in front.families:
-            values = front.within(name, BUDGETS_N)
+            values = front.within(name, BUDGETS_N)[0]
             rows.append((condition.short(), name, *(f"{value:.1f}" for value in values)))
         for name in front.families:
             for other in front.others(name) if name != "squeeze" else ():

@@ -142,6 +142,11 @@ def success_within(
     return 100.0 * np.max(weights @ np.swapaxes(within, -1, -2), axis=-1).T
 
 
+def interval(values: Float[np.ndarray, "r *b"]) -> Float[np.ndarray, "2 *b"]:
+    """Bootstrap 95 % interval of what was computed for each of the weights."""
+    return np.quantile(values[1:], [0.025, 0.975], axis=0)
+
+
 def gains_within(
     trials: SameStarts,
     weights: Weights,
@@ -156,5 +161,5 @@ def gains_within(
 
 
 def _estimate(values: Float[np.ndarray, " r"]) -> Estimate:
-    low, high = np.quantile(values[1:], [0.025, 0.975])
+    low, high = interval(values)
     return Estimate(float(values[0]), (float(low), float(high)))

@@ -18,6 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.front_tables import Front
+from mjx_grasp.evaluation.judging import interval
 from mjx_grasp.evaluation.tables import Column
 
 Metrics = dict[str, Float[np.ndarray, " t"]]
@@ -34,6 +36,7 @@ GREY = "#5b6470"
 _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
+_BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
 
@@ -121,6 +124,44 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
         handles=[shown[name] for name in names],
         labels=[_LEGEND.get(name, name) for name in names],
         loc="outside lower center", ncols=4, frameon=False, fontsize=8,
+    )  # fmt: skip
+    return png(figure)
+
+
+def success_within_budgets(panels: Mapping[str, Front]) -> bytes:
+    """Share of trials lifted within a mean force, against it, a panel per condition, as PNG.
+
+    A curve per family of controllers, each at the best of its settings, with the 95 % interval over
+    start states.
+
+    Args:
+        panels: Controllers from the same starts, by the condition's words.
+
+    Raises:
+        InputError: No panel.
+    """
+    if not panels:
+        raise InputError("panels", "none", "one condition or more")
+    figure = new_figure(4.2 * len(panels), 4.2)
+    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    families = sorted({name for front in panels.values() for name in front.families})
+    looks = _LOOKS | dict(zip([f for f in families if f not in _LOOKS], itertools.cycle(_MARKERS)))
+    shown = {}
+    for ax, (title, front) in zip(grid, panels.items(), strict=True):
+        style(ax)
+        ax.set_ylim(0, 103)
+        ax.set_xlim(0, _BUDGETS[-1])
+        ax.set_xlabel("budget: mean contact force per finger [N]", fontsize=9, color=GREY)
+        ax.set_title(title, loc="left", fontsize=10, color=GREY)
+        for family in front.families:
+            values, (_, colour) = front.within(family, _BUDGETS), looks[family]
+            (shown[family],) = ax.plot(_BUDGETS, values[0], color=colour, linewidth=1.8)
+            ax.fill_between(_BUDGETS, *interval(values), color=colour, alpha=0.15, linewidth=0)
+    grid[0].set_ylabel("lifted within the budget [%]", fontsize=9, color=GREY)
+    names = [name for name in families if name in shown]
+    figure.legend(
+        handles=[shown[name] for name in names], labels=names, loc="outside lower center", ncols=4,
+        frameon=False, fontsize=8,
     )  # fmt: skip
     return png(figure)
 

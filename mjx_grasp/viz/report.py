@@ -13,7 +13,12 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table, headline
+from mjx_grasp.evaluation.front_tables import (
+    budget_table,
+    equal_force_table,
+    front_panels,
+    headline,
+)
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
     Groups,
@@ -24,7 +29,12 @@ from mjx_grasp.evaluation.tables import (
     untrained_note,
 )
 from mjx_grasp.records.atomic import read_json, replacing
-from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+from mjx_grasp.viz.plots import (
+    read_metrics,
+    success_against_force,
+    success_within_budgets,
+    training_curves,
+)
 from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
 
 
@@ -133,6 +143,8 @@ def _results(groups: Groups, paths: Sequence[str | Path]) -> str:
         return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
     tables = (make(groups) for make in (equal_force_table, budget_table))
     parts = [table.html() for table in tables if table.rows]
+    if panels := front_panels(groups):
+        parts.append(_image(success_within_budgets(panels), "success within a force budget"))
     for condition, columns in groups.items():
         parts.append(condition_table(condition, columns).html())
         detail = force_table(condition, columns).html() + failure_table(condition, columns).html()

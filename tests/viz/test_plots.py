@@ -1,14 +1,21 @@
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.front_tables import fronts
 from mjx_grasp.evaluation.results import ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.tables import Column
-from mjx_grasp.viz.plots import read_metrics, success_against_force, training_curves
+from mjx_grasp.viz.plots import (
+    read_metrics,
+    success_against_force,
+    success_within_budgets,
+    training_curves,
+)
 
 BLUE, ORANGE, VIOLET = (37, 99, 168), (200, 100, 30), (122, 79, 163)
 
@@ -106,3 +113,28 @@ def test_conditions_stand_side_by_side_and_policies_share_their_label():
     assert of_colour(right, VIOLET).any() and of_colour(right, ORANGE).any()
     with pytest.raises(InputError, match="panels"):
         success_against_force({})
+
+
+def test_success_within_a_budget_is_a_rising_curve_of_its_colour():
+    """A policy that lifts everything at 2 N, beside a squeeze that lifts half of it at 4 N."""
+
+    def kept(label, successes, force, squeeze=None):
+        made = column(label, successes, force, squeeze)
+        letters = "S" * successes + "L" * (64 - successes)
+        rows = {
+            name: replace(row, outcomes=letters, forces_n=(force,) * 64, starts=tuple(range(64)))
+            for name, row in made.rows.items()
+        }
+        return made._replace(rows=rows)
+
+    (front,) = fronts([kept("policy", 64, 2.0), kept("squeeze 5 N", 32, 4.0, 5.0)])
+    picture = pixels(success_within_budgets({"easy": front}))
+    picture = picture[: int(0.85 * len(picture))]  # without the legend
+    (blue_rows, blue_columns), (rows, columns) = (
+        np.nonzero(of_colour(picture, colour)) for colour in (BLUE, ORANGE)
+    )
+    assert blue_rows.min() < rows.min() - 50  # everything lies above half
+    rise, later = blue_columns[blue_rows == blue_rows.min()], columns[rows == rows.min()]
+    assert rise.min() < later.min() - 50  # at 2 N, not at 4 N
+    with pytest.raises(InputError, match="panels"):
+        success_within_budgets({})

@@ -110,7 +110,7 @@ class Condition(NamedTuple):
     errors: RobotErrors = RobotErrors()
     friction: float = 0.0
     """error of the model of joint friction, as a share [-]"""
-    forces: ForceConfig = ForceConfig()
+    forces: ForceConfig = ForceConfig(sticking=0.02)
 
 
 class Seen(NamedTuple):
@@ -141,7 +141,7 @@ def conditions_of(config: SensingConfig) -> list[Condition]:
     percent = f"{100 * wrong:g} %"
     return [
         Condition("exact torques"),
-        Condition("no model of friction", forces=ForceConfig(sticking=float("inf"))),
+        Condition("no model of friction", forces=ForceConfig()),
         Condition(f"noise {config.torque_std:g} N m", noise),
         Condition(f"steps of {config.torque_step:g} N m", step),
         Condition(f"friction +{percent}", friction, wrong),

@@ -230,14 +230,15 @@ class Closer:
     def forces(self, state: CloserState, measured: Measured) -> Float[Array, "*b f 3"]:
         """Force of the object on each fingertip, estimated from joint torques [N], world frame.
 
-        The dry friction of moving joints is known and left out; that of joints at rest may have
-        either sign and stays in the estimate.
+        With `sticking` the dry friction of moving joints is known and left out; that of joints at
+        rest may have either sign and stays in the estimate.
         """
         at, config, free = self.joints.at, self.config, self.away_from_stops(measured)
-        friction = self.joints.dry_friction * jnp.tanh(
-            measured.qd[..., at.fingers] / config.forces.sticking
-        )
-        torque = (state.observer.torque + friction).reshape(free.shape)
+        torque = state.observer.torque
+        if config.forces.sticking is not None:
+            speed = measured.qd[..., at.fingers] / config.forces.sticking
+            torque = torque + self.joints.dry_friction * jnp.tanh(speed)
+        torque = torque.reshape(free.shape)
         return tip_forces(
             torque, control.pad_jacobians(measured, at.per_finger), free, config.forces
         )

@@ -6,14 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.records.settings import (
-    Count,
-    NonNegative,
-    Positive,
-    PositiveOrNever,
-    Settings,
-    Share,
-)
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Settings, Share
 
 
 @dataclass(frozen=True)
@@ -103,9 +96,9 @@ class ForceConfig(Settings):
     """λ: lever below which a joint's torque says little of the force [m]"""
     most: Positive = 40.0
     """largest force that is believed [N]"""
-    sticking: PositiveOrNever = 0.02
-    """speed at which a joint's dry friction acts in full against its motion; infinity takes no
-    friction for known, and it is felt as a force [rad/s]"""
+    sticking: Positive | None = None
+    """speed at which a joint's dry friction acts in full against its motion and is left out of the
+    estimate; none: it is felt as a force [rad/s]"""
 
 
 @dataclass(frozen=True)

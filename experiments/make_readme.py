@@ -16,6 +16,7 @@ from pathlib import Path
 import closing_tables
 import policy_tables
 import reach_tables
+import sensing_tables
 import simulation_tables
 import stage_tables
 import tyro
@@ -64,6 +65,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
+            "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "steering": stage_tables.steering(folder / "steering.json"),

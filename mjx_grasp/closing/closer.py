@@ -228,15 +228,26 @@ class Closer:
         )
 
     def forces(self, state: CloserState, measured: Measured) -> Float[Array, "*b f 3"]:
-        """Force of the object on each fingertip, estimated from joint torques [N], world frame."""
-        at, config = self.joints.at, self.config
-        q, limits = measured.q[..., at.per_finger], self.joints.limits[at.per_finger]
-        margin = config.observer.stop_margin
-        free = (q > limits[..., 0] + margin) & (q < limits[..., 1] - margin)
-        torque = state.observer.torque.reshape(q.shape)
+        """Force of the object on each fingertip, estimated from joint torques [N], world frame.
+
+        With `sticking` the dry friction of moving joints is known and left out; that of joints at
+        rest may have either sign and stays in the estimate.
+        """
+        at, config, free = self.joints.at, self.config, self.away_from_stops(measured)
+        torque = state.observer.torque
+        if config.forces.sticking is not None:
+            speed = measured.qd[..., at.fingers] / config.forces.sticking
+            torque = torque + self.joints.dry_friction * jnp.tanh(speed)
+        torque = torque.reshape(free.shape)
         return tip_forces(
             torque, control.pad_jacobians(measured, at.per_finger), free, config.forces
         )
+
+    def away_from_stops(self, measured: Measured) -> Bool[Array, "*b f j"]:
+        """Which finger joints are so far from their stops that their torque is a contact's."""
+        at, margin = self.joints.at, self.config.observer.stop_margin
+        q, limits = measured.q[..., at.per_finger], self.joints.limits[at.per_finger]
+        return (q > limits[..., 0] + margin) & (q < limits[..., 1] - margin)
 
     def load(
         self, state: CloserState, measured: Measured, targets: ThreePoints

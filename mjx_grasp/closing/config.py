@@ -96,6 +96,9 @@ class ForceConfig(Settings):
     """λ: lever below which a joint's torque says little of the force [m]"""
     most: Positive = 40.0
     """largest force that is believed [N]"""
+    sticking: Positive | None = None
+    """speed at which a joint's dry friction acts in full against its motion and is left out of the
+    estimate; none: it is felt as a force [rad/s]"""
 
 
 @dataclass(frozen=True)

@@ -99,8 +99,21 @@ def record_trials(
     def positions(state: TaskState) -> Float[Array, "w nq"]:
         return task.snapshot(state)["qpos"]
 
-    trials, qpos = jax.jit(lambda d: _episode(task, controller, d, positions))(draw)
-    return jax.tree.map(np.asarray, trials), np.asarray(qpos)
+    return watch_trials(task, controller, draw, positions)
+
+
+def watch_trials(
+    task: Task, controller: Controller, draw: StartDraw, look: Callable[[TaskState], Any]
+) -> tuple[Trials, Any]:
+    """Runs all trials at once and keeps what `look` sees of the state after every tick.
+
+    Args:
+        task: On an engine.
+        controller: The controller.
+        draw: Starts.
+        look: From a state to arrays, worlds first; ticks come before them in what is returned.
+    """
+    return jax.tree.map(np.asarray, jax.jit(lambda d: _episode(task, controller, d, look))(draw))
 
 
 def incidents(runs: Iterable[Trials]) -> dict[str, int]:

@@ -15,6 +15,7 @@ from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import (
     ActionConfig,
     CloserConfig,
+    ForceConfig,
     GripConfig,
     LiftConfig,
     StageConfig,
@@ -309,6 +310,24 @@ def test_flags_and_observer_add_up(walk, ran):
 
 
 # What is commanded.
+
+
+def test_dry_friction_of_moving_joints_is_no_force_where_it_is_known(robot, starts):
+    closer = Closer.of(robot, CloserConfig(forces=ForceConfig(sticking=0.02)))
+    unknowing = Closer.of(robot, CloserConfig())
+    measured, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
+    state, at = closer.start(measured, targets), closer.joints.at
+    for way in (1.0, -1.0):
+        moving = measured._replace(qd=measured.qd.at[at.fingers].set(0.5 * way))
+        against = state.observer._replace(torque=-way * jnp.asarray(closer.joints.dry_friction))
+        felt = closer.forces(state._replace(observer=against), moving)
+        np.testing.assert_allclose(felt, 0.0, atol=1e-3)
+        felt = unknowing.forces(state._replace(observer=against), moving)
+        assert (jnp.linalg.norm(felt, axis=-1) > 0.05).all()
+        # At rest nobody knows which way friction acts.
+        assert (jnp.linalg.norm(closer.forces(state, measured), axis=-1) < 1e-3).all()
+        still = closer.forces(state._replace(observer=against), measured)
+        assert (jnp.linalg.norm(still, axis=-1) > 0.05).all()
 
 
 def test_joints_that_closing_does_not_move_never_move(walk, ran, at):

@@ -9,6 +9,11 @@ from scipy.spatial import cKDTree
 
 _CANDIDATES = 24  # small triangles examined per point; their centroids are the nearest ones
 _BLOCK = 4_000_000  # point-triangle pairs held in memory at once
+_RAYS = 64  # points whose rays are followed at once
+_RAY = (
+    0.2718281,
+    0.1414213,
+)  # x and y of their direction, z is 1: in no plane that a mesh is likely to have
 
 
 def closest_on_triangles(
@@ -67,23 +72,32 @@ def distance_to_surface(
 
 
 def inside(mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-    """Whether each point is inside the closed mesh: its generalised winding number is above 1/2.
+    """Whether each point is inside the closed mesh: its winding number is above 0.
 
-    Overlapping closed components count as their union. The solid angle of a triangle is Van
-    Oosterom and Strackee's (1983).
+    The winding number is what a ray from the point leaves the surface more often than it enters it.
+    Overlapping closed components count as their union. On the surface the answer may be either.
     """
-    triangles = np.asarray(mesh.triangles)
-    total = np.empty(len(points))
-    step = max(1, _BLOCK // (4 * len(triangles)))
-    for i in range(0, len(points), step):
-        r = triangles[None] - points[i : i + step, None, None, :]
-        a, b, c = r[:, :, 0], r[:, :, 1], r[:, :, 2]
-        la, lb, lc = (np.sqrt((x**2).sum(-1)) for x in (a, b, c))
-        determinant = (a * np.cross(b, c)).sum(-1)
-        denominator = la * lb * lc
-        denominator += (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-        total[i : i + step] = 2.0 * np.arctan2(determinant, denominator).sum(axis=1)
-    return total > 2.0 * np.pi
+    # Sheared so that the ray runs along z, and sorted so that a block of points meets few faces.
+    shear = np.eye(3)
+    shear[2, :2] -= _RAY
+    triangles, points = np.asarray(mesh.triangles) @ shear, points @ shear
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    order = np.argsort(points[:, 0])
+    winding = np.zeros(len(points))
+    for i in range(0, len(points), _RAYS):
+        rows = order[i : i + _RAYS]
+        start = points[rows, None]
+        near = np.flatnonzero((low[:, 0] <= start[-1, 0, 0]) & (high[:, 0] >= start[0, 0, 0]))
+        met = (low[near, :2] <= start[..., :2]).all(axis=-1) & (high[near] >= start).all(axis=-1)
+        ray, face = np.nonzero(met)
+        ends = triangles[near[face]] - start[ray]
+        # Of each corner twice the area between the ray's foot and the other two, seen along it.
+        x, y, z = np.moveaxis(ends, -1, 0)
+        area = np.roll(x, -1, 1) * np.roll(y, -2, 1) - np.roll(x, -2, 1) * np.roll(y, -1, 1)
+        side = np.sign(area.sum(axis=1))
+        hit = (np.sign(area) == side[:, None]).all(axis=1) & (side * (area * z).sum(axis=1) > 0)
+        winding[rows] = np.bincount(ray[hit], side[hit], len(rows))
+    return winding > 0.5
 
 
 def outside_distance(

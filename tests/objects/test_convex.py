@@ -1,5 +1,7 @@
 """Convex pieces: limits, corners, coverage, and the outward error against trimesh."""
 
+import hashlib
+
 import numpy as np
 import pytest
 import trimesh
@@ -220,6 +222,26 @@ def test_the_outward_error_of_a_piece_that_sticks_out_is_how_far():
     outside = np.linalg.norm(points - np.clip(points, -0.03, 0.03), axis=1)
     found = outward_error(box, (ball,), FEW)
     assert found == pytest.approx(np.percentile(outside, 95), abs=0.0005)
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "digest"),
+    [
+        ("foam_brick", 0.0, "bda61783cae5"),
+        ("tomato_soup_can", 0.0, "720975b837b8"),
+        ("bleach_cleanser", 0.003923665839, "7197db6fd83b"),
+        ("tennis_ball", 0.0, "974b36d9453c"),
+    ],
+)
+def test_pieces_stay_what_they_are(name, error, digest):
+    # Poses of start states in files rest on them.
+    pieces, found = convex_pieces(stand_in(name))
+    content = hashlib.sha256()
+    for piece in pieces:
+        for values in (piece.pos, piece.vertices, np.array([piece.radius])):
+            content.update(np.round(1e6 * values).astype(np.int64).tobytes())
+    assert found == pytest.approx(error, abs=1e-9)
+    assert content.hexdigest()[:12] == digest
 
 
 def test_a_looser_bound_takes_one_hull(divided):

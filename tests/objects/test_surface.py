@@ -44,4 +44,4 @@ def test_long_triangles_and_rays_through_corners(shift):
     grid = np.stack(np.meshgrid(*[np.linspace(-0.06, 0.06, 13)] * 3), axis=-1).reshape(-1, 3)
     grid = grid[(np.abs(np.abs(grid) - (0.05, 0.03, 0.04)) > 1e-6).all(axis=1)]
     expected = (np.abs(grid) < (0.05, 0.03, 0.04)).all(axis=1)
-    np.testing.assert_array_equal(inside(box, grid + (shift, 0.0, 0.0)), expected)
+    np.testing.assert_array_equal(inside(box, grid + np.array([shift, 0.0, 0.0])), expected)

@@ -143,7 +143,7 @@ def main(config: RouteConfig) -> None:
     robot, model = load_robot(), load_object(config.object, config.objects_dir)
     faces = np.asarray(model.mesh.faces)
     heatmap = heatmap_of(model, robot.hand)
-    target = target_of(config.object, model.mesh, load_catalogue()[config.object])
+    target = target_of(config.object, model.mesh, load_catalogue()[config.object].parts)
     anchor = PartGrounder().ground(config.instruction, target).point
     score = steer_near(heatmap, jnp.asarray(anchor), config.sigma)
     score = score / jnp.maximum(score.max(), 1e-12)  # far from the middle all scores are low

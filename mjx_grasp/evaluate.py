@@ -17,7 +17,7 @@ def main() -> None:
 
     console = Console(stderr=True)
     rows = evaluate_to_file(config, console)
-    Console().print(success_table(rows, scans=config.objects_dir is not None))
+    Console().print(success_table(rows, scans=config.scans))
     console.print(f"written: {config.out}")
 
 

@@ -214,7 +214,8 @@ def test_a_refusal_is_one_line_in_the_shell(tmp_path):
 
 def test_the_official_download_is_found_and_equal_stems_are_told_apart(tmp_path):
     from mjx_grasp.errors import FileError
-    from mjx_grasp.objects.folder import catalogue_entry, find_meshes
+    from mjx_grasp.objects.catalogue import catalogue_entry
+    from mjx_grasp.objects.folder import find_meshes
 
     scan = tmp_path / "025_mug" / "google_16k"
     scan.mkdir(parents=True)

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.closing.config import REACTING, GripConfig
-from mjx_grasp.records.settings import CommandSettings, Count, NonNegative, Positive, Range, Seed
+from mjx_grasp.objects.config import ObjectsConfig
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
 from mjx_grasp.tasks.assemble import Engine
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
 
 
 @dataclass(frozen=True)
-class EvaluateConfig(CommandSettings):
+class EvaluateConfig(ObjectsConfig):
     """Evaluates a controller by the criterion of success (method §7)."""
 
     out: Path
@@ -22,10 +23,6 @@ class EvaluateConfig(CommandSettings):
     controller: Literal["policy", "squeeze", "grip"] = "policy"
     """the trained policy; the model-based command alone, with --squeeze-force; or the same with a
     grip that answers to the load that it feels in its joints, --grip.*"""
-    objects: tuple[str, ...] = ("eight",)
-    """objects or groups (eight, train, held_out, all); those without start states are reported"""
-    objects_dir: Path | None = None
-    """folder of real scans; parametric stand-ins without one"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     episodes: Count = 64

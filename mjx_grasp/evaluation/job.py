@@ -41,7 +41,7 @@ def evaluate_to_file(config: EvaluateConfig, console: Console) -> list[ResultRow
     names, without, states = chosen_states(stored, config)
     if without:
         console.print(f"[yellow]no start states, left out: {', '.join(without)}[/yellow]")
-    scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
+    scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig(), config.weight)
     task = policy_task(policy) if policy else TaskConfig()
     world = build_world(scene, states, task.control_dt)
     rows, trials = evaluate(world, names, config, policy, stored.kind, console)

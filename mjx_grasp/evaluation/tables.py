@@ -196,6 +196,8 @@ def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
 
 def _meshes_of(results: Results) -> str:
     """Scans come from a folder that the command names."""
+    if any("." in row.object for row in results.rows):  # meshes of the user
+        return ""
     return _MESHES["--objects-dir" in str(results.provenance["command"])]
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from mjx_grasp.grasp.config import TargetConfig
+from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.records.settings import (
-    CommandSettings,
     Count,
     NonNegative,
     Positive,
@@ -67,17 +67,13 @@ class PostureConfig(Settings):
 
 
 @dataclass(frozen=True)
-class HandoffConfig(CommandSettings):
+class HandoffConfig(ObjectsConfig):
     """Settings of `python -m mjx_grasp.handoffs`."""
 
     out: Annotated[Path, Suffix((".npz",))]
     """the handoff set to write (.npz); a report (.json) is written beside it"""
-    objects: tuple[str, ...] = ("eight",)
-    """object names or groups: eight, train, held_out, all"""
     update: Path | None = None
     """an earlier set, with its report: what it has of other objects is taken over"""
-    objects_dir: Path | None = None
-    """folder of real scans; parametric stand-ins without it"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     per_object: Count = 128

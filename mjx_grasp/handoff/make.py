@@ -47,7 +47,7 @@ def make_handoffs(
         kept = before.select([n for n in before.object_names if n not in names])
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
-    objects = load_objects(names, config.objects_dir)
+    objects = load_objects(config.objects, config.objects_dir, weight=config.weight)
     generator = HandoffGenerator(robot, config)
     with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int, UInt8
 
 from mjx_grasp.errors import MjxGraspError
 from mjx_grasp.language.camera import PinholeCamera
-from mjx_grasp.objects.catalogue import ObjectInfo, Point
+from mjx_grasp.objects.catalogue import Point
 
 
 class GroundingError(MjxGraspError, ValueError):
@@ -78,19 +78,16 @@ class Grounder(Protocol):
         ...
 
 
-def target_of(name: str, mesh: trimesh.Trimesh, info: ObjectInfo | None = None) -> Target:
-    """A mesh as a target; named parts come from the catalogue.
-
-    The catalogue has its parts relative to the centre of the bounding box; they are moved to the
-    frame of the mesh, wherever its origin lies.
+def target_of(name: str, mesh: trimesh.Trimesh, parts: Mapping[str, Point] | None = None) -> Target:
+    """A mesh as a target, with its parts moved to the frame of the mesh, wherever its origin lies.
 
     Args:
         name: Of the object.
         mesh: In [m].
-        info: The object's entry of the catalogue, if it is of the catalogue.
+        parts: Named points relative to the centre of the bounding box [m], as the catalogue and
+            `parts_of` have them.
     """
     centre = np.asarray(mesh.bounds, np.float64).mean(axis=0)
-    parts = {} if info is None else info.parts
     x, y, z = (float(c) for c in centre)
-    moved = {part: (p[0] + x, p[1] + y, p[2] + z) for part, p in parts.items()}
+    moved = {part: (p[0] + x, p[1] + y, p[2] + z) for part, p in (parts or {}).items()}
     return Target(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), moved)

@@ -1,16 +1,20 @@
-"""The catalogue: what is known of each object apart from its shape."""
+"""The catalogue, what is known of each object apart from its shape, and what else can be named."""
 
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import yaml
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.objects.folder import MeshFile, find_meshes
+from mjx_grasp.objects.meshes import EXTENSIONS
 
 SPLITS = ("train", "held_out", "figure_only", "scaled")
 Point = tuple[float, float, float]
@@ -43,6 +47,16 @@ class ObjectInfo:
         return (f"{self.ycb_id}_{self.scan_of}",)
 
 
+class Asked(NamedTuple):
+    """An object that was asked for."""
+
+    name: str
+    """Of the catalogue; of a user's mesh its file's name with the extension, which no object of the
+    catalogue has."""
+    file: MeshFile | None = None
+    """The user's mesh; None for an object of the catalogue."""
+
+
 def load_catalogue() -> dict[str, ObjectInfo]:
     """All entries by name, in the catalogue's order.
 
@@ -72,25 +86,56 @@ def groups() -> dict[str, tuple[str, ...]]:
 
 
 def resolve(names: Sequence[str]) -> tuple[str, ...]:
-    """Object names and groups as object names, each once, in the order given.
+    """The names of the objects that are asked for, see `find_objects`."""
+    return tuple(each.name for each in find_objects(names))
+
+
+def find_objects(asked: Sequence[str]) -> tuple[Asked, ...]:
+    """Names and groups of the catalogue, meshes and folders of meshes as objects.
+
+    Each comes once, in the order given.
 
     Raises:
-        InputError: No name, or one that is neither an object nor a group.
+        InputError: Nothing is asked for, something that is none of these, or two meshes of a name.
+        FileError: A path leads to no mesh.
     """
     known, sets = load_catalogue(), groups()
-    found: list[str] = []
-    for name in names:
-        if name in sets:
-            found += sets[name]
-        elif name in known:
-            found.append(name)
+    found: dict[str, Asked] = {}
+    for name in asked:
+        if name in known or name in sets:
+            found |= {member: Asked(member) for member in sets.get(name, (name,))}
+        elif _is_path(name):
+            for file in find_meshes(name):
+                new = Asked(_mesh_name(file), file)
+                other = found.setdefault(new.name, new).file
+                if other is not None and other.path.resolve() != file.path.resolve():
+                    both = f"{other.path}, {file.path}"
+                    raise InputError("objects", both, "meshes of different names")
         else:
             near = difflib.get_close_matches(name, [*sets, *known], n=3, cutoff=0.5)
             hint = f"{', '.join(near)}?" if near else f"{', '.join(sets)} or an object's name"
-            raise InputError("object", name, f"a name of the catalogue: {hint}")
+            raise InputError("object", name, f"a name of the catalogue: {hint} Or a mesh's path")
     if not found:
-        raise InputError("objects", list(names), "one or more names or groups")
-    return tuple(dict.fromkeys(found))
+        raise InputError("objects", list(asked), "one or more names, groups or meshes")
+    return tuple(found.values())
+
+
+def catalogue_entry(name: str) -> ObjectInfo | None:
+    """The catalogue's entry whose scan has this name, for example ``025_mug``; None if unknown."""
+    for info in load_catalogue().values():
+        if name in info.scan_names and info.scale == 1.0:
+            return info
+    return None
+
+
+def _is_path(text: str) -> bool:
+    path = Path(text)
+    return path.exists() or path.suffix.lower() in EXTENSIONS or "/" in text or os.sep in text
+
+
+def _mesh_name(file: MeshFile) -> str:
+    extension = file.path.suffix
+    return file.name if file.name.endswith(extension) else file.name + extension
 
 
 def _entry(e: Mapping[str, Any]) -> ObjectInfo:

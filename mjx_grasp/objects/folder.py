@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.catalogue import ObjectInfo, load_catalogue
 from mjx_grasp.objects.meshes import EXTENSIONS
 
 _SCANS = ("nontextured.ply", "textured.obj")
@@ -47,11 +46,3 @@ def find_meshes(path: str | Path) -> list[MeshFile]:
     if not found:
         raise FileError(path, "no meshes", f"files of {kinds}, or NAME/google_16k/{_SCANS[0]}")
     return sorted(found)
-
-
-def catalogue_entry(name: str) -> ObjectInfo | None:
-    """The catalogue's entry whose scan has this name, for example ``025_mug``; None if unknown."""
-    for info in load_catalogue().values():
-        if name in info.scan_names and info.scale == 1.0:
-            return info
-    return None

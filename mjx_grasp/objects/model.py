@@ -1,11 +1,13 @@
-"""An object as simulation and heatmap need it, from a scan or from its stand-in."""
+"""An object as simulation and heatmap need it, from a scan, its stand-in or a user's own mesh."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +18,20 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
-from mjx_grasp.objects.catalogue import ObjectInfo, load_catalogue
+from mjx_grasp.objects.catalogue import Asked, Point, find_objects, load_catalogue
+from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.objects.resting import RestingPose, resting_poses
 from mjx_grasp.records.atomic import replacing
 
 _CACHE_FORMAT = 3
+
+Derived = tuple[tuple[Piece, ...], float]
+"""Convex pieces and their outward error [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +40,11 @@ class ObjectModel:
 
     name: str
     source: str
-    """'scan' or 'parametric'."""
+    """'scan', 'parametric', or 'mesh' for a user's own."""
     mesh: trimesh.Trimesh
     """Closed, wound outwards [m]."""
     mass: float
-    """kg, of the catalogue."""
+    """kg, of the catalogue or as the user says."""
     com: Float[np.ndarray, "3"]
     """Centre of mass at uniform density [m]."""
     inertia: Float[np.ndarray, "3 3"]
@@ -50,77 +57,103 @@ class ObjectModel:
     """Stable poses on the table, the most probable first."""
     content_hash: str
     """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
+    parts: Mapping[str, Point] = field(default_factory=dict)
+    """Named parts: centre points [m]."""
 
 
 def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
-    """The mesh of an object in its own frame [m]: its scan, or the parametric stand-in.
+    """The mesh of an object in its own frame [m]: a scan, a parametric stand-in or a user's mesh.
 
     Args:
-        name: A name of the catalogue.
+        name: A name of the catalogue, or a mesh file.
         objects_dir: Folder of real scans; the stand-in without one.
 
     Raises:
         InputError: An unknown name.
-        FileError: The scan is missing or unusable.
+        FileError: The scan or mesh is missing or unusable.
     """
-    info = _info(name)
+    return _shape(_one(name), objects_dir)[0]
+
+
+def _one(name: str) -> Asked:
+    asked = find_objects([name])
+    if len(asked) != 1:
+        raise InputError("object", name, f"one of {', '.join(load_catalogue())}, or one mesh")
+    return asked[0]
+
+
+def _shape(asked: Asked, objects_dir: Path | None) -> tuple[trimesh.Trimesh, Mapping[str, Point]]:
+    """Mesh and parts in the object frame [m]."""
+    if asked.file is not None:
+        mesh = read_mesh(asked.file.path)
+        return centred(mesh), parts_of(asked.file, mesh)
+    info = load_catalogue()[asked.name]
     if objects_dir is None:
-        return stand_in(info.scan_of, info.scale)
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names)), info.scale)
-
-
-def _info(name: str) -> ObjectInfo:
-    catalogue = load_catalogue()
-    if name not in catalogue:
-        raise InputError("object", name, f"one of {', '.join(catalogue)}")
-    return catalogue[name]
+        return stand_in(info.scan_of, info.scale), info.parts
+    return centred(read_mesh(find_scan(objects_dir, info.scan_names)), info.scale), info.parts
 
 
 def load_object(
-    name: str, objects_dir: Path | None = None, cache_dir: Path | None = None
+    name: str,
+    objects_dir: Path | None = None,
+    cache_dir: Path | None = None,
+    weight: Weight | None = None,
 ) -> ObjectModel:
     """Loads an object; its convex pieces are computed once and cached.
 
     Args:
-        name: A name of the catalogue.
+        name: A name of the catalogue, or a mesh file.
         objects_dir: Folder of real scans; the parametric stand-in without one.
         cache_dir: Where derived shapes are kept; ``~/.cache/mjx_grasp`` by default.
+        weight: Of a mesh; by `DENSITY` if None.
 
     Raises:
         InputError: An unknown name.
-        FileError: The scan is missing or unusable.
+        FileError: The scan or mesh, or the file of parts beside it, is missing or unusable.
     """
-    mesh = object_mesh(name, objects_dir)
-    mass = _info(name).mass
-    com, inertia = mass_properties(mesh, mass)
-    digest = _content_hash(mesh)
-    entry = _cache_entry(digest, cache_dir)
-    derived = _read_cache(entry)
-    if derived is None:
-        derived = convex_pieces(mesh)
-        _write_cache(entry, *derived)
-    pieces, error = derived
-    resting = resting_poses(pieces, com)
-    source = "parametric" if objects_dir is None else "scan"
-    return ObjectModel(name, source, mesh, mass, com, inertia, pieces, error, resting, digest)
+    asked = _one(name)
+    mesh, parts = _shape(asked, objects_dir)
+    derived = _derived({asked.name: mesh}, cache_dir)[asked.name]
+    return _model(asked, mesh, parts, derived, objects_dir, weight or Weight())
 
 
 def load_objects(
-    names: Sequence[str], objects_dir: Path | None = None, cache_dir: Path | None = None
+    names: Sequence[str],
+    objects_dir: Path | None = None,
+    cache_dir: Path | None = None,
+    weight: Weight | None = None,
 ) -> list[ObjectModel]:
     """Loads several objects, with a progress bar while shapes have to be worked out.
 
-    Says which of them are collided with well outside their surface.
+    Says what meshes of the user weigh, and which objects are collided with well outside their
+    surface.
+
+    Args:
+        names: Names and groups of the catalogue, meshes and folders of meshes.
+        objects_dir, cache_dir: As of `load_object`.
+        weight: Of each mesh; by `DENSITY` if None.
+
+    Raises:
+        InputError: An unknown name, two meshes of one name, or a weight without a mesh.
+        FileError: A scan, a mesh or a file of parts is missing or unusable.
     """
-    meshes = (object_mesh(n, objects_dir) for n in names)
-    missing = sum(not _cache_entry(_content_hash(m), cache_dir).exists() for m in meshes)
+    asked, weight = find_objects(names), weight or Weight()
+    own = [each.name for each in asked if each.file is not None]
+    if weight != Weight() and not own:
+        found = ", ".join(each.name for each in asked)
+        raise InputError(
+            "--mass or --density", found, "a mesh: the catalogue's objects have masses"
+        )
+    shapes = {each.name: _shape(each, objects_dir) for each in asked}
     console = Console(stderr=True)
-    with counting_progress(console if missing else None, transient=True) as progress:
-        bar = progress.add_task("convex pieces", total=len(names))
-        loaded = []
-        for name in names:
-            loaded.append(load_object(name, objects_dir, cache_dir))
-            progress.advance(bar)
+    derived = _derived({name: mesh for name, (mesh, _) in shapes.items()}, cache_dir, console)
+    loaded = [
+        _model(each, *shapes[each.name], derived[each.name], objects_dir, weight) for each in asked
+    ]
+    for obj in loaded:
+        if obj.name in own:
+            said = f"{obj.name}: {obj.mass:.3g} kg, {weight.of(obj.mesh.volume)[1]}"
+            console.print(said, markup=False, highlight=False)
     allowed = ConvexConfig().single_hull_error
     off = {o.name: 1e3 * o.outward_error_95 for o in loaded if o.outward_error_95 > allowed}
     if off:
@@ -129,6 +162,65 @@ def load_objects(
             f"[yellow]convex pieces stand out by more than {1e3 * allowed:g} mm: {named}[/yellow]"
         )
     return loaded
+
+
+def _model(
+    asked: Asked,
+    mesh: trimesh.Trimesh,
+    parts: Mapping[str, Point],
+    derived: Derived,
+    objects_dir: Path | None,
+    weight: Weight,
+) -> ObjectModel:
+    if asked.file is not None:
+        source, mass = "mesh", weight.of(mesh.volume)[0]
+    else:
+        source = "parametric" if objects_dir is None else "scan"
+        mass = load_catalogue()[asked.name].mass
+    com, inertia = mass_properties(mesh, mass)
+    pieces, error = derived
+    resting, digest = resting_poses(pieces, com), _content_hash(mesh)
+    return ObjectModel(
+        asked.name, source, mesh, mass, com, inertia, pieces, error, resting, digest, parts
+    )
+
+
+def _derived(
+    meshes: Mapping[str, trimesh.Trimesh], cache_dir: Path | None, console: Console | None = None
+) -> dict[str, Derived]:
+    """Convex pieces and their error by name: those of the cache, and the others on all cores.
+
+    In threads: NumPy, SciPy and CoACD, which take the time, run beside each other in them.
+    """
+    entries = {name: _cache_entry(_content_hash(m), cache_dir) for name, m in meshes.items()}
+    kept = {name: _read_cache(entry) for name, entry in entries.items()}
+    known = {name: derived for name, derived in kept.items() if derived is not None}
+    missing = [name for name in meshes if name not in known]
+    if not missing:
+        return known
+    cores = os.cpu_count() or 1
+    pool = ThreadPoolExecutor(cores)
+    with counting_progress(console, transient=True) as progress:
+        bar = progress.add_task(_working_on(missing, cores), total=len(missing))
+        futures = {pool.submit(convex_pieces, meshes[name]): name for name in missing}
+        try:
+            for done in as_completed(futures):
+                name = futures[done]
+                known[name] = done.result()
+                _write_cache(entries[name], *known[name])
+                missing.remove(name)
+                progress.update(bar, advance=1, description=_working_on(missing, cores))
+        finally:
+            # After Ctrl-C nothing new begins, and what cannot be stopped is not waited for.
+            pool.shutdown(wait=False, cancel_futures=True)
+    return known
+
+
+def _working_on(names: Sequence[str], cores: int) -> str:
+    """What the bar says: objects are begun in their order, one per core."""
+    begun = names[:cores]
+    others = f" and {len(begun) - 1} more" if len(begun) > 1 else ""
+    return f"convex pieces of {begun[0]}{others}" if begun else "convex pieces"
 
 
 def stand_in_hash(name: str) -> str:

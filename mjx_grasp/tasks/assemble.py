@@ -10,7 +10,7 @@ from typing import Literal
 import jax
 
 from mjx_grasp.handoff.dataset import HandoffSet
-from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.mjx_engine import MjxPhysics
@@ -64,17 +64,22 @@ class World:
 
 
 def build_scene_of(
-    names: Sequence[str], objects_dir: Path | None, robot: RobotSpec, config: SceneConfig
+    names: Sequence[str],
+    objects_dir: Path | None,
+    robot: RobotSpec,
+    config: SceneConfig,
+    weight: Weight | None = None,
 ) -> Scene:
     """Loads the named objects and compiles the scene.
 
     Args:
-        names: Object names or groups of the catalogue.
+        names: Object names or groups of the catalogue, meshes, folders of meshes.
         objects_dir: Folder of real scans; parametric stand-ins without one.
         robot: What grasps.
         config: Physics.
+        weight: Of meshes; by an assumed density if None.
     """
-    return build_scene(load_objects(resolve(names), objects_dir), robot, config)
+    return build_scene(load_objects(names, objects_dir, weight=weight), robot, config)
 
 
 def build_world(scene: Scene, handoffs: HandoffSet, control_dt: float) -> World:

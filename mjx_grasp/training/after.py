@@ -66,7 +66,7 @@ def evaluate_run(
     robot = scene.robot.identity
     untrained = {} if answers_to_load(task) else {"untrained_n": task.grip.force}
     write_results(base.out, rows, made, robot, label=label, **untrained, **counted)
-    console.print(success_table(rows, scans=config.objects_dir is not None))
+    console.print(success_table(rows, scans=config.scans))
     for force in untrained.values():
         console.print(untrained_note(force))
     for sentence in headline(read_groups([base.out])):

@@ -11,9 +11,9 @@ from mjx_grasp.closing.config import REACTING, ActionConfig, GripConfig, LiftCon
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
+from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.settings import (
-    CommandSettings,
     Count,
     Seed,
     WholeNumber,
@@ -33,7 +33,7 @@ Preset = Literal["auto", "cpu", "gpu", "paper"]
 
 
 @dataclass(frozen=True)
-class TrainConfig(CommandSettings):
+class TrainConfig(ObjectsConfig):
     """A training run."""
 
     preset: Preset = "auto"
@@ -41,10 +41,6 @@ class TrainConfig(CommandSettings):
     as the other settings' defaults is what the preset sets. cpu and gpu train a policy that feels
     forces and is given a budget of them, on a grip that answers to load; paper has the published
     observation, command, actions, critic and number of worlds and steps."""
-    objects: tuple[str, ...] = ("eight",)
-    """objects of the catalogue, or groups (eight, train, held_out, all), to train on"""
-    objects_dir: Path | None = None
-    """folder of real scans; parametric stand-ins without one"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     handoffs: Path | None = None

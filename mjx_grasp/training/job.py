@@ -60,7 +60,7 @@ def run_training(
     _check_same_handoffs(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
-    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
+    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
     _open_run(config, folder)
@@ -203,6 +203,8 @@ def _made_handoffs(
             HandoffConfig(
                 objects=config.objects,
                 objects_dir=config.objects_dir,
+                mass=config.mass,
+                density=config.density,
                 robot=config.robot,
                 per_object=config.handoffs_per_object,
                 seed=config.seed,

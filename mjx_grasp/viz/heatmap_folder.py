@@ -21,7 +21,8 @@ from mjx_grasp.heatmap.sampling import best_triple, sample_triples
 from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
-from mjx_grasp.objects.folder import MeshFile, catalogue_entry, find_meshes
+from mjx_grasp.objects.folder import MeshFile, find_meshes
+from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.records.atomic import check_new_folder, replacing
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import NonNegative, Range, Seed, to_record
@@ -39,7 +40,7 @@ class HeatmapsConfig(MeshConfig):
     """folder of the results"""
     instruction: str | None = None
     """steers to a named place, such as "by the handle": a side (top, bottom, left, right, front,
-    back, middle) or, for a scan of the catalogue, one of its parts"""
+    back, middle) or a part, of a scan of the catalogue or named in a YAML file beside the mesh"""
     between_contacts: bool = False
     """steers to grasps whose contacts have the anchor between them, not only in line with it (an
     addition to the publication's method)"""
@@ -126,7 +127,7 @@ def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:
     """Reads a mesh and finds its anchor: everything that can fail, before anything long."""
     mesh = config.read(file.path)
     if config.instruction is not None:
-        target = target_of(file.name, mesh, catalogue_entry(file.name))
+        target = target_of(file.name, mesh, parts_of(file, mesh))
         found = PartGrounder().ground(config.instruction, target)
         return _Job(file, mesh, found.point, found.source)
     if config.anchor is None:

@@ -16,7 +16,8 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.files import StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
 from mjx_grasp.language.grounding import Target, target_of
-from mjx_grasp.objects.folder import catalogue_entry
+from mjx_grasp.objects.folder import MeshFile
+from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.records.settings import Range
 from mjx_grasp.viz.viewer import Viewer, import_viser
 from mjx_grasp.viz.viewer_state import TripleCount, ViewerSettings
@@ -71,7 +72,7 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
         name, mesh = config.mesh.stem, config.read(config.mesh)
         with Console(stderr=True).status(f"computing the heatmap of {name}"):
             stored = heatmap_of_mesh(name, mesh, config.grip())
-    return stored, target_of(name, mesh, catalogue_entry(name))
+    return stored, target_of(name, mesh, parts_of(MeshFile(name, config.mesh), mesh))
 
 
 def check_host(host: str) -> None:

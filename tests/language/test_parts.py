@@ -13,7 +13,7 @@ CATALOGUE = load_catalogue()
 
 def catalogue_target(name):
     return target_of(
-        name, stand_in(CATALOGUE[name].scan_of, CATALOGUE[name].scale), CATALOGUE[name]
+        name, stand_in(CATALOGUE[name].scan_of, CATALOGUE[name].scale), CATALOGUE[name].parts
     )
 
 
@@ -64,7 +64,7 @@ def test_sides_of_any_mesh_in_its_own_frame(instruction, point, shift):
 def test_parts_follow_a_scan_whose_origin_is_elsewhere():
     mesh = stand_in("mug")
     mesh.apply_translation([0.3, 0.1, -0.2])
-    target = target_of("mug", mesh, CATALOGUE["mug"])
+    target = target_of("mug", mesh, CATALOGUE["mug"].parts)
     expected = np.add(CATALOGUE["mug"].parts["handle"], [0.3, 0.1, -0.2])
     assert np.allclose(GROUNDER.ground("handle", target).point, expected, atol=1e-9)
 

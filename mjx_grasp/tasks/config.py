@@ -57,6 +57,8 @@ class RewardConfig(Settings):
     """times the mean finger force in the lift [1/N]"""
     over_budget: Finite = 0.0
     """times the mean finger force in the lift beyond the force budget [1/N]"""
+    hard: Finite = 0.0
+    """times the largest force on a finger beyond twice the budget, at any time [1/N]"""
 
 
 @dataclass(frozen=True)

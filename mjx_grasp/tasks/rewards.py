@@ -14,6 +14,9 @@ from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.config import RewardConfig
 
+_HARDEST_N = 20.0
+"""A single impact shall not outweigh a whole grasp."""
+
 
 class Moment(NamedTuple):
     """What a reward may look at: a control tick after its physics."""
@@ -61,6 +64,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
+        RewardTerm("hard", config.hard, hard),
     )
     return (*published, *(term for term in gentle if term.weight))
 
@@ -109,11 +113,25 @@ def held(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
     return jnp.exp(-((moment.slip / config.held_scale) ** 2))
 
 
+def finger_forces(moment: Moment) -> Float[Array, "*b f"]:
+    """Contact force of each finger [N]."""
+    return jnp.sqrt(jnp.sum(moment.truth.finger_force**2, -1) + 1e-12)
+
+
 def mean_force(moment: Moment) -> Float[Array, "*b"]:
     """Contact force per finger [N]."""
-    return jnp.mean(jnp.sqrt(jnp.sum(moment.truth.finger_force**2, -1) + 1e-12), axis=-1)
+    return jnp.mean(finger_forces(moment), axis=-1)
 
 
 def over_budget(moment: Moment) -> Float[Array, "*b"]:
     """The same beyond the budget, in the lift [N]."""
     return jnp.where(moment.lifting, jnp.maximum(mean_force(moment) - moment.budget, 0.0), 0.0)
+
+
+def hard(moment: Moment) -> Float[Array, "*b"]:
+    """The largest force on a finger beyond twice the budget, as far as `_HARDEST_N` [N].
+
+    Twice, for of a balanced grip the thumb bears half as much again as the mean.
+    """
+    most = jnp.max(finger_forces(moment), axis=-1)
+    return jnp.clip(most - 2.0 * moment.budget, 0.0, _HARDEST_N)

@@ -156,3 +156,15 @@ def test_holding_pays_as_much_before_the_lift_as_in_it():
     assert held.value(moment(lifting=False)) == held.value(moment(lifting=True)) == 1.0
     slipped = held.value(moment(lifting=True, slip=CONFIG.held_scale))
     np.testing.assert_allclose(slipped, np.exp(-1.0), rtol=1e-6)
+
+
+def test_a_hard_finger_costs_beyond_twice_the_budget_up_to_a_bound():
+    """In the lift or before."""
+
+    def cost(force, lifting=False):
+        at = moment(lifting=lifting, budget=3.0)
+        fingers = jnp.zeros((3, 3)).at[1, 2].set(force)
+        return float(rewards.hard(at._replace(truth=at.truth._replace(finger_force=fingers))))
+
+    assert cost(5.9) == 0.0
+    np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 20], rtol=1e-5)

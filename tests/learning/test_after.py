@@ -41,7 +41,9 @@ def test_the_evaluation_has_the_condition_of_the_training():
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
 
 
-def test_idle_fingers_are_fixed_and_steps_coarse_for_the_training_alone(monkeypatch, tmp_path, scene, starts):
+def test_fixed_fingers_and_coarse_steps_are_for_the_training_alone(
+    monkeypatch, tmp_path, scene, starts
+):
     config = preset_config("cpu")
     assert config.scene.fix_idle_fingers and not preset_config("paper").scene.fix_idle_fingers
     (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())

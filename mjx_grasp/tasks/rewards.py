@@ -25,6 +25,8 @@ class Moment(NamedTuple):
     truth: Truth
     lifting: Bool[Array, "*b"]
     """the stage during the tick: contact acquisition, or the lift"""
+    in_time: Bool[Array, "*b"]
+    """whether the time for contact acquisition is not over"""
     guidance: Float[Array, "*b f 6"]
     """the field at the pads [m/s, rad/s]"""
     pad_twist: Float[Array, "*b f 6"]
@@ -108,9 +110,11 @@ def action_acceleration(moment: Moment) -> Float[Array, "*b"]:
 def held(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
     """exp(−(s/σ)²), s the displacement of the object in the palm since lift onset, 0 before.
 
-    Were it paid in the lift alone, to lift hastily would pay more than to lift surely.
+    It is paid in the lift and in the time before it. In the lift alone, to lift hastily would pay
+    more than to lift surely; before it without an end, not to lift at all.
     """
-    return jnp.exp(-((moment.slip / config.held_scale) ** 2))
+    value = jnp.exp(-((moment.slip / config.held_scale) ** 2))
+    return jnp.where(moment.lifting | moment.in_time, value, 0.0)
 
 
 def finger_forces(moment: Moment) -> Float[Array, "*b f"]:

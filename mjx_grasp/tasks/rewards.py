@@ -14,8 +14,8 @@ from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.config import RewardConfig
 
-_HARDEST_N = 20.0
-"""A single impact shall not outweigh a whole grasp."""
+_MOST_EXCESS_N = 10.0
+"""A jammed hand's hundreds of newtons shall not outweigh all other grasps."""
 
 
 class Moment(NamedTuple):
@@ -128,14 +128,15 @@ def mean_force(moment: Moment) -> Float[Array, "*b"]:
 
 
 def over_budget(moment: Moment) -> Float[Array, "*b"]:
-    """The same beyond the budget, in the lift [N]."""
-    return jnp.where(moment.lifting, jnp.maximum(mean_force(moment) - moment.budget, 0.0), 0.0)
+    """The same beyond the budget in the lift, as far as `_MOST_EXCESS_N` [N]."""
+    excess = jnp.clip(mean_force(moment) - moment.budget, 0.0, _MOST_EXCESS_N)
+    return jnp.where(moment.lifting, excess, 0.0)
 
 
 def hard(moment: Moment) -> Float[Array, "*b"]:
-    """The largest force on a finger beyond twice the budget, as far as `_HARDEST_N` [N].
+    """The largest force on a finger beyond twice the budget, as far as `_MOST_EXCESS_N` [N].
 
     Twice, for of a balanced grip the thumb bears half as much again as the mean.
     """
     most = jnp.max(finger_forces(moment), axis=-1)
-    return jnp.clip(most - 2.0 * moment.budget, 0.0, _HARDEST_N)
+    return jnp.clip(most - 2.0 * moment.budget, 0.0, _MOST_EXCESS_N)

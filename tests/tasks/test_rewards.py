@@ -170,4 +170,4 @@ def test_a_hard_finger_costs_beyond_twice_the_budget_up_to_a_bound():
         return float(rewards.hard(at._replace(truth=at.truth._replace(finger_force=fingers))))
 
     assert cost(5.9) == 0.0
-    np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 20], rtol=1e-5)
+    np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 10], rtol=1e-5)

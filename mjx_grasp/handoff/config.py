@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from mjx_grasp.grasp.config import TargetConfig
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.records.settings import (
     CommandSettings,
@@ -88,6 +89,7 @@ class HandoffConfig(CommandSettings):
     """pre-grasps that may share one heatmap candidate [-]"""
     seed: Seed = 0
     """of everything random; an object's states do not depend on the other objects"""
+    heatmap: HeatmapConfig = field(default_factory=HeatmapConfig)
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)

@@ -40,6 +40,7 @@ def sample_object_poses(
 
 def draw_candidates(
     score: Float[np.ndarray, " v"],
+    area: Float[np.ndarray, " v"],
     thumb: Float[np.ndarray, "v 3"],
     allowed: Bool[np.ndarray, " v"],
     config: SamplingConfig,
@@ -47,17 +48,21 @@ def draw_candidates(
 ) -> Int[np.ndarray, " n"]:
     """Candidates for one object pose: good ones more often, no two close together.
 
-    A draw without replacement with weights exp(score/temperature) (the Gumbel trick), thinned so
-    that thumb contacts keep their distance. May return fewer than asked, or none.
+    A draw without replacement with weights area · exp(score/temperature) (the Gumbel trick),
+    thinned so that thumb contacts keep their distance. With the areas it is a draw of points of the
+    surface: where the mesh is dense there are more candidates, not more draws. May return fewer
+    than asked, or none.
 
     Args:
         score: Heatmap scores.
+        area: Of the surface around each candidate [m²].
         thumb: Thumb contacts in [m].
         allowed: Which candidates may be used at this pose.
         config: Number, temperature, distance.
         rng: Source of randomness.
     """
-    keys = score / config.temperature + rng.gumbel(size=len(score))
+    share = np.log(np.maximum(area, np.finfo(np.float64).tiny))
+    keys = score / config.temperature + share + rng.gumbel(size=len(score))
     order = np.flatnonzero(allowed)
     order = order[np.argsort(-keys[order], kind="stable")]
     chosen: list[int] = []

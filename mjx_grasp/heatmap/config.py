@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import tyro
+
 from mjx_grasp.records.settings import (
     Count,
     NonNegative,
@@ -23,6 +25,9 @@ Backend = Literal["auto", "bvh", "brute"]
 class HeatmapConfig(Settings):
     """Settings of the grasp-affordance heatmap (method §1)."""
 
+    edge: Annotated[NonNegative, tyro.conf.arg(prefix_name=False)] = 0.010
+    """longest edge: candidates are vertices, so coarse meshes are refined to it; 0 keeps the mesh
+    as it is [m]"""
     wrap_offsets: Annotated[tuple[Positive, ...], Several(ascending=True)] = (
         0.010,
         0.015,

@@ -36,9 +36,9 @@ def test_candidates_prefer_scores_and_keep_their_distance():
     rng = np.random.default_rng(0)
     thumb = rng.uniform(0, 0.1, (800, 3))
     score = rng.random(800)
-    allowed = rng.random(800) < 0.5
+    area, allowed = np.ones(800), rng.random(800) < 0.5
     config = SamplingConfig(candidates_per_pose=10, min_distance=0.01)
-    drawn = [draw_candidates(score, thumb, allowed, config, rng) for _ in range(50)]
+    drawn = [draw_candidates(score, area, thumb, allowed, config, rng) for _ in range(50)]
     for chosen in drawn:
         assert len(chosen) == len(set(chosen)) == 10 and allowed[chosen].all()
         gaps = np.linalg.norm(thumb[chosen, None] - thumb[chosen], axis=-1)
@@ -46,5 +46,17 @@ def test_candidates_prefer_scores_and_keep_their_distance():
     every = np.concatenate(drawn)
     assert score[every].mean() > score[allowed].mean() + 0.1
     assert len(set(every)) > 100
-    assert len(draw_candidates(score, thumb, np.zeros(800, bool), config, rng)) == 0
-    assert len(draw_candidates(score, 0 * thumb, allowed, config, rng)) == 1
+    assert len(draw_candidates(score, area, thumb, np.zeros(800, bool), config, rng)) == 0
+    assert len(draw_candidates(score, area, 0 * thumb, allowed, config, rng)) == 1
+
+
+def test_a_surface_in_smaller_pieces_is_not_drawn_more_often():
+    # One half of a plate with ten times as many candidates as the other.
+    rng = np.random.default_rng(1)
+    x = np.concatenate([rng.uniform(-0.5, 0.0, 100), rng.uniform(0.0, 0.5, 1000)])
+    thumb = np.stack([x, rng.uniform(0, 1, 1100), np.zeros(1100)], axis=1)
+    area = np.where(x < 0, 0.5 / 100, 0.5 / 1000)
+    score, allowed = np.full(1100, 0.5), np.ones(1100, bool)
+    config = SamplingConfig(candidates_per_pose=1)
+    drawn = [draw_candidates(score, area, thumb, allowed, config, rng)[0] for _ in range(600)]
+    assert np.mean(x[drawn] < 0) == pytest.approx(0.5, abs=0.08)

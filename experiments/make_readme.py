@@ -66,6 +66,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
+            "eligibility": stage_tables.eligibility(folder / "eligibility.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
             "limits": reach_tables.reach_limits(

@@ -60,6 +60,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "handoffs": closing_tables.shipped_handoffs(folder),
+            "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
             "throughput": closing_tables.throughput(throughput),
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),

@@ -131,6 +131,37 @@ def eligibility(path: Path) -> str:
     )
 
 
+def failing_starts(path: Path) -> str:
+    """What tells the start states that always fail from the others, and the reasons."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = []
+    for part in d["parts"]:
+        left = part["left_by"]
+        rows.append(
+            (
+                part["part"],
+                f"{part['failing']} of {part['states']}",
+                *(f"{part['auc'][name]:.2f}" for name in ("lift", "reach", "force", "score")),
+                *(f"{left[k]['failing']} of {left[k]['states']}" for k in left),
+            )
+        )
+    header = ("states", "always fail", "lift", "reach", "force", "low score")
+    header = (*header, "left without lift", "and without reach")
+    reasons: dict[str, int] = {}
+    for row in d["rows"]:
+        reasons[row["reason"]] = reasons.get(row["reason"], 0) + 1
+    counted = ", ".join(f"{name} {n}" for name, n in sorted(reasons.items(), key=lambda r: -r[1]))
+    return (
+        f"{markdown(Table('Failing starts', header, tuple(rows)))}\n\n"
+        f"Of the training states that always fail: {counted}. An arm cannot lift if the palm ends "
+        f"more than {1e3 * d['lift_error_m']:.0f} mm from where it should, a finger cannot reach "
+        f"if its pad stays more than {1e3 * d['reach_m']:.0f} mm from the contact; the least force "
+        f"is that at friction {d['friction']:g}."
+    )
+
+
 def steering(path: Path) -> str:
     """Distance of the chosen contacts from the anchor."""
     d = read(path)

@@ -65,6 +65,11 @@ class PostureConfig(Settings):
         )
     )
     """what the solver keeps apart; what is refused is for MuJoCo's collisions to say"""
+    lift_height: NonNegative = 0.15
+    """that the palm is to rise straight up from a posture [m]"""
+    lift_error: Annotated[float, Range(0, finite=False)] = 0.03
+    """a posture from which it ends farther from there is refused; inf refuses none, as published:
+    joint limits in the lift were what most start states failed by that always did [m]"""
 
 
 @dataclass(frozen=True)

@@ -190,6 +190,8 @@ class HandoffGenerator:
                 outcome = "limits" if found.at_limit[start] else "unreachable"
             elif not found.agrees[start]:
                 outcome = "reach-axis"
+            elif found.lift_error[start] > self._config.posture.lift_error:
+                outcome = "lift"
             else:
                 reason = collision(np.asarray(found.q[start]))
                 if reason is None:

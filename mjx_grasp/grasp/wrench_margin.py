@@ -79,10 +79,10 @@ def holding_force(
         load: What has to be balanced, in the frame of the contacts; not zero.
         config: Friction.
     """
-    load = Load(*map(jnp.asarray, load))
-    size = norm(load.force)
-    against = -load.force / jnp.where(size > 0, size, 1.0)
-    held = _held_load(contact - load.point, jnp.asarray(inward), against, config)
+    push, point = jnp.asarray(load.force), jnp.asarray(load.point)
+    size = norm(push)
+    against = -push / jnp.where(size > 0, size, 1.0)
+    held = _held_load(jnp.asarray(contact) - point, jnp.asarray(inward), against, config)
     return jnp.where(size > 0, size / held, 0.0)
 
 
@@ -103,8 +103,8 @@ def worst_holding_force(
         disturbance: Size of the push, as a share of the load; it acts through the same point [-].
         config: Friction.
     """
-    load = Load(*map(jnp.asarray, load))
-    pushed = load.force + disturbance * norm(load.force) * jnp.asarray(_DIRECTIONS)
+    push = jnp.asarray(load.force)
+    pushed = push + disturbance * norm(push) * jnp.asarray(_DIRECTIONS)
     forces = jax.vmap(lambda f: holding_force(contact, inward, Load(f, load.point), config))(pushed)
     return jnp.max(forces)
 

@@ -29,6 +29,9 @@ class SamplingConfig(Settings):
 
     area: ObjectArea = field(default_factory=ObjectArea)
     """where objects lie"""
+    standing: Share = 0.0
+    """share of the poses in which objects stand as they were scanned, besides where they come to
+    rest by themselves; for objects that do stand so, such as tall cans [-]"""
     poses_per_round: Count = 128
     """object poses drawn at a time [-]"""
     candidates_per_pose: Count = 3

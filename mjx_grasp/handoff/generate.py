@@ -25,7 +25,7 @@ from mjx_grasp.handoff.attempts import Attempts, Pairs, attempt_all
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
-from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
+from mjx_grasp.handoff.sampling import draw_candidates, poses_at_rest, sample_object_poses
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
@@ -127,7 +127,8 @@ class HandoffGenerator:
     ) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
         sampling, candidates = self._config.sampling, task.candidates
-        pos, quat = sample_object_poses(task.obj.resting, sampling.poses_per_round, sampling, rng)
+        resting = poses_at_rest(task.obj, sampling.standing)
+        pos, quat = sample_object_poses(resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
         pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
         turns = np.array([_matrix(q) for q in quat], np.float32)

@@ -3,12 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.handoff.config import SamplingConfig
-from mjx_grasp.objects.model import RestingPose
+from mjx_grasp.objects.model import ObjectModel, RestingPose
+
+
+def poses_at_rest(obj: ObjectModel, standing: float) -> tuple[RestingPose, ...]:
+    """An object's resting poses, with a share of it standing as it was scanned.
+
+    What falls at random hardly ever ends on its small base, but is put there: a can is to be
+    grasped from the side too.
+
+    Args:
+        obj: The object; with a share above 0 one that stands as scanned, its z axis up.
+        standing: Share of the poses that stand so [-].
+    """
+    if standing == 0:
+        return obj.resting
+    height = -float(obj.mesh.bounds[0, 2])
+    upright = RestingPose(np.array([1.0, 0.0, 0.0, 0.0]), height, standing)
+    total = sum(pose.probability for pose in obj.resting)
+    fallen = (
+        replace(pose, probability=(1 - standing) * pose.probability / total) for pose in obj.resting
+    )
+    return (upright, *fallen)
 
 
 def sample_object_poses(

@@ -1,8 +1,10 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from mjx_grasp.handoff.config import SamplingConfig
-from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
+from mjx_grasp.handoff.sampling import draw_candidates, poses_at_rest, sample_object_poses
 from mjx_grasp.objects.resting import RestingPose
 
 RESTING = [
@@ -30,6 +32,20 @@ def test_object_poses_rest_in_the_object_area_by_probability():
     yaw = 2 * np.arctan2(quat[upright, 3], quat[upright, 0])
     yaw = np.mod(yaw, 2 * np.pi)
     assert np.histogram(yaw, bins=8, range=(0, 2 * np.pi))[0].min() > 0.8 * upright.sum() / 8
+
+
+@pytest.mark.wrong_types
+def test_a_share_of_the_poses_stands_as_scanned():
+    can = SimpleNamespace(
+        resting=tuple(RESTING),
+        mesh=SimpleNamespace(bounds=np.array([[-1, -1, -0.12], [1, 1, 0.12]])),
+    )
+    assert poses_at_rest(can, 0.0) == can.resting
+    upright, *fallen = poses_at_rest(can, 0.25)
+    assert np.array_equal(upright.quat, [1, 0, 0, 0]) and upright.height == 0.12
+    assert [pose.probability for pose in fallen] == pytest.approx([0.75 * 0.75, 0.25 * 0.75])
+    assert upright.probability == 0.25
+    assert sum(pose.probability for pose in poses_at_rest(can, 1.0)[1:]) == 0
 
 
 def test_candidates_prefer_scores_and_keep_their_distance():

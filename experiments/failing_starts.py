@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import tyro
@@ -40,6 +41,7 @@ from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.lift import scripted_lift
+from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive
@@ -62,8 +64,6 @@ class FailingConfig(CommandSettings):
     """trials from the training states"""
     evaluation: Path = Path("experiments/results/grip_native.json")
     """trials from the evaluation states"""
-    reach: Positive = 0.018
-    """a finger that stays farther from its contact does not reach it [m]"""
     friction: Positive = 0.4
     """of the contacts in the least force: half of the scene's [-]"""
     columns: Count = 8
@@ -88,16 +88,16 @@ def main(config: FailingConfig) -> None:
         states = states_of(stored, names, part)
         tried, fails = outcomes(path, len(states))
         features = features_of(states, scene, robot, config)
-        parts.append(summary(part, path, tried, fails, features, config))
+        parts.append(summary(part, path, tried, fails, features))
         if picture is None:
             picture = sheet(states, scene, fails, features, config)
-            rows = reasons_of(states, fails, features, config)
+            rows = reasons_of(states, fails, features)
     document = {
         "schema": SCHEMA,
         "provenance": made,
         "source": "parametric" if config.objects_dir is None else "scan",
         "lift_error_m": PostureConfig().lift_error,
-        "reach_m": config.reach,
+        "reach_m": PostureConfig().touch_error,
         "friction": config.friction,
         "parts": parts,
         "rows": rows,
@@ -123,6 +123,7 @@ def features_of(
     """What is known of each state beforehand: errors in [m], the force in weights."""
     body, height = robot_body(robot), PostureConfig().lift_height
     lift = jax.jit(jax.vmap(lambda q: scripted_lift(body, q, height).error))(states.q)
+    touch = jax.jit(jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at))))
     turns = Rotation.from_quat(np.roll(states.object_quat, -1, axis=1)).as_matrix()
     com = np.stack([o.com for o in scene.objects])[states.object_index]
     point = states.object_pos + np.einsum("nij,nj->ni", turns, com)
@@ -134,35 +135,10 @@ def features_of(
     forces = jax.jit(jax.vmap(force))(states.target_pos, states.target_normal, np.float32(point))
     return {
         "lift": np.asarray(lift),
-        "reach": _reaches(states, scene, robot),
+        "reach": np.asarray(touch(states.q, states.target_pos)),
         "force": np.asarray(forces),
         "score": -states.score,
     }
-
-
-def _reaches(states: HandoffSet, scene: Scene, robot: RobotSpec) -> Float[np.ndarray, " n"]:
-    """How far the worst finger's pad stays from its contact when its joints do what they can."""
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
-    worst = np.zeros(len(states))
-    for n, (q, targets) in enumerate(zip(states.q, states.target_pos, strict=True)):
-        for finger, target in zip(robot.hand.fingers, targets, strict=True):
-            joints = np.array([model.joint(name).id for name in finger.policy_joints])
-            low, high = model.jnt_range[joints].T
-            site = model.site(finger.pad_site).id
-            data.qpos[:] = q
-            for _ in range(25):
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_comPos(model, data)
-                error = target - data.site_xpos[site]
-                mujoco.mj_jacSite(model, data, jacobian, None, site)
-                now, push = data.qpos[joints], jacobian[:, joints].T @ error
-                held = ((now <= low) & (push < 0)) | ((now >= high) & (push > 0))
-                free = jacobian[:, joints] * ~held
-                step = np.linalg.solve(free.T @ free + 1e-5 * np.eye(len(joints)), free.T @ error)
-                data.qpos[joints] = np.clip(now + np.clip(step, -0.3, 0.3), low, high)
-            worst[n] = max(worst[n], float(np.linalg.norm(error)))
-    return worst
 
 
 def summary(
@@ -171,11 +147,10 @@ def summary(
     tried: Bool[np.ndarray, " n"],
     fails: Bool[np.ndarray, " n"],
     features: dict[str, Float[np.ndarray, " n"]],
-    config: FailingConfig,
 ) -> dict[str, Any]:
     """Areas under the curve, of all states and of those from which the arm can lift."""
     liftable = features["lift"] <= PostureConfig().lift_error
-    both = liftable & (features["reach"] <= config.reach)
+    both = liftable & (features["reach"] <= PostureConfig().touch_error)
     return {
         "part": part,
         "trials": path.as_posix(),
@@ -206,14 +181,13 @@ def reasons_of(
     states: HandoffSet,
     fails: Bool[np.ndarray, " n"],
     features: dict[str, Float[np.ndarray, " n"]],
-    config: FailingConfig,
 ) -> list[dict[str, Any]]:
     """The failing states, each with what is wrong with it."""
     return [
         {
             "state": int(n),
             "object": states.object_names[states.object_index[n]],
-            "reason": _reason(features, n, config),
+            "reason": _reason(features, n),
             "lift_error_mm": 1e3 * float(features["lift"][n]),
             "reach_error_mm": 1e3 * float(features["reach"][n]),
             "force_per_weight": float(features["force"][n]),
@@ -223,10 +197,14 @@ def reasons_of(
     ]
 
 
-def _reason(features: dict[str, Float[np.ndarray, " n"]], n: int, config: FailingConfig) -> str:
+def _reason(features: dict[str, Float[np.ndarray, " n"]], n: int) -> str:
     if features["lift"][n] > PostureConfig().lift_error:
         return "arm cannot lift"
-    return "finger cannot reach" if features["reach"][n] > config.reach else "contacts slip"
+    return (
+        "finger cannot reach"
+        if features["reach"][n] > PostureConfig().touch_error
+        else "contacts slip"
+    )
 
 
 def sheet(
@@ -237,7 +215,7 @@ def sheet(
     config: FailingConfig,
 ) -> Image.Image:
     """The failing states, by reason."""
-    chosen = sorted(np.flatnonzero(fails), key=lambda n: _reason(features, n, config))
+    chosen = sorted(np.flatnonzero(fails), key=lambda n: _reason(features, n))
     side, caption = config.cell_pixels, 30
     rows = -(-len(chosen) // config.columns)
     picture = Image.new("RGB", (config.columns * side, rows * (side + caption)), "white")
@@ -251,7 +229,7 @@ def sheet(
             name = states.object_names[states.object_index[n]].replace("_", " ")
             errors = f"{1e3 * features['lift'][n]:.0f}, {1e3 * features['reach'][n]:.0f} mm"
             draw.text((corner[0] + 3, corner[1] + 2), f"{n} {name}", "black")
-            text = f"{_reason(features, n, config)} ({errors})"
+            text = f"{_reason(features, n)} ({errors})"
             draw.text((corner[0] + 3, corner[1] + 15), text, "black")
     return picture
 

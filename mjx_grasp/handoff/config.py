@@ -73,6 +73,9 @@ class PostureConfig(Settings):
     lift_error: Annotated[float, Range(0, finite=False)] = 0.03
     """a posture from which it ends farther from there is refused; inf refuses none, as published:
     joint limits in the lift were what most start states failed by that always did [m]"""
+    touch_error: Annotated[float, Range(0, finite=False)] = 0.022
+    """a posture from which a closing finger stays farther from its contact is refused; inf refuses
+    none, as published [m]"""
 
 
 @dataclass(frozen=True)

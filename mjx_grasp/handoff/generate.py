@@ -193,6 +193,8 @@ class HandoffGenerator:
                 outcome = "reach-axis"
             elif found.lift_error[start] > self._config.posture.lift_error:
                 outcome = "lift"
+            elif found.touch_error[start] > self._config.posture.touch_error:
+                outcome = "touch"
             else:
                 reason = collision(np.asarray(found.q[start]))
                 if reason is None:

@@ -16,7 +16,14 @@ BAD, GOOD = 1.0, 0.0  # errors on either side of the tolerance [m]
 
 
 def first_clear(
-    error, *, agrees=(True, True), usable=(True, True), limit=False, lift=(GOOD, GOOD), hit=None
+    error,
+    *,
+    agrees=(True, True),
+    usable=(True, True),
+    limit=False,
+    lift=(GOOD, GOOD),
+    touch=(GOOD, GOOD),
+    hit=None,
 ):
     """Two starts, the second one cheaper; the choice and the reason against it."""
     cost = np.where(usable, [1.0, 0.0], np.inf)
@@ -26,6 +33,7 @@ def first_clear(
         at_limit=np.full(2, limit),
         agrees=np.array(agrees),
         lift_error=np.array(lift),
+        touch_error=np.array(touch),
         q=np.arange(2),
         position=np.zeros((2, 3, 3)),
         normal=np.zeros((2, 3, 3)),
@@ -41,6 +49,7 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
     assert first_clear([GOOD, GOOD], agrees=(True, False)) == (0, None)
     assert first_clear([GOOD, GOOD], usable=(True, False)) == (0, None)
     assert first_clear([GOOD, GOOD], lift=(GOOD, BAD)) == (0, None)
+    assert first_clear([GOOD, GOOD], touch=(GOOD, BAD)) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -50,6 +59,7 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
         ("limits", {"error": [BAD, BAD], "limit": True}),
         ("reach-axis", {"error": [BAD, GOOD], "agrees": (False, False)}),
         ("lift", {"error": [GOOD, GOOD], "agrees": (True, False), "lift": (BAD, BAD)}),
+        ("touch", {"error": [GOOD, GOOD], "lift": (GOOD, BAD), "touch": (BAD, BAD)}),
         ("hand-object", {"error": [BAD, GOOD], "hit": {1: "hand-object"}}),
         ("self", {"error": [GOOD, GOOD], "hit": {0: "self"}, "agrees": (True, False)}),
     ],

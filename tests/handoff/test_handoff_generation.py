@@ -19,6 +19,7 @@ from mjx_grasp.handoff.report import OUTCOMES, report_table
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.lift import scripted_lift
+from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 
@@ -121,11 +122,13 @@ def test_joints_are_within_their_limits_and_the_margin(generated, config):
     assert np.all(handoffs.q <= limits[:, 1] - margin)
 
 
-def test_the_arm_can_lift_straight_up_from_every_state(generated, config):
+def test_from_every_state_the_arm_can_lift_straight_up_and_the_fingers_touch(generated, config):
     handoffs, _ = generated
     body, posture = robot_body(load_robot()), config.posture
     lift = jax.vmap(lambda q: scripted_lift(body, q, posture.lift_height))(handoffs.q)
     assert np.all(lift.error <= posture.lift_error + 1e-4)
+    touch = jax.vmap(lambda q, at: touch_errors(body, q, at))(handoffs.q, handoffs.target_pos)
+    assert np.all(touch <= posture.touch_error + 1e-4)
 
 
 def test_every_pair_is_accounted_for(generated):

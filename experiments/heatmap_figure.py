@@ -17,7 +17,7 @@ from rich.progress import track
 from small_png import write_png
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.sampling import best_triple
 from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
@@ -55,7 +55,7 @@ def main(config: FigureConfig) -> None:
     hand = load_robot().hand
     rows, cells = [], []
     for name in track(resolve(config.objects), "heatmaps", console=Console(stderr=True)):
-        mesh, file = object_mesh(name, config.objects_dir), "stand-in"
+        mesh, file = heatmap_surface(object_mesh(name, config.objects_dir)), "stand-in"
         if config.objects_dir is not None:
             file = find_scan(config.objects_dir, load_catalogue()[name].scan_names).name
         start = time.perf_counter()

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.heatmap.compute import compute_heatmaps
+from mjx_grasp.heatmap.compute import compute_heatmaps, heatmap_surface
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
@@ -48,7 +48,7 @@ class RankingConfig(CommandSettings):
 def main(config: RankingConfig) -> None:
     """Ranks, and writes the file."""
     names = resolve(config.objects)
-    meshes = [object_mesh(name, config.objects_dir) for name in names]
+    meshes = [heatmap_surface(object_mesh(name, config.objects_dir)) for name in names]
     hand = load_robot().hand
     heatmaps = compute_heatmaps(
         [(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes],

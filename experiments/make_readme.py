@@ -61,6 +61,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "handoffs": closing_tables.shipped_handoffs(folder),
+            "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
             "throughput": closing_tables.throughput(throughput),
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
@@ -68,6 +69,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
+            "eligibility": stage_tables.eligibility(folder / "eligibility.json"),
             "steering": stage_tables.steering(folder / "steering.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
             "limits": reach_tables.reach_limits(

@@ -40,7 +40,7 @@ from mjx_grasp.grasp.candidates import Candidates, from_heatmap
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.sampling import sample_object_poses
-from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
@@ -141,7 +141,7 @@ def main(config: RouteConfig) -> None:
     check_backend()
     made = provenance(config.seed)  # before anything is written, so that the revision is not dirty
     robot, model = load_robot(), load_object(config.object, config.objects_dir)
-    faces = np.asarray(model.mesh.faces)
+    surface = heatmap_surface(model.mesh)
     heatmap = heatmap_of(model, robot.hand)
     target = target_of(config.object, model.mesh, load_catalogue()[config.object].parts)
     anchor = PartGrounder().ground(config.instruction, target).point
@@ -149,7 +149,7 @@ def main(config: RouteConfig) -> None:
     score = score / jnp.maximum(score.max(), 1e-12)  # far from the middle all scores are low
 
     poses = _drawn_poses(model, config)
-    field = distance_field(np.asarray(model.mesh.vertices), faces)
+    field = distance_field(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
     reaches = _reach(robot, field, from_heatmap(heatmap, score, _CANDIDATES), poses)
     handed = reaches.outcome == ReachOutcome.HANDOFF
     reached, last = handed.any(axis=1), handed.argmax(axis=1)
@@ -164,7 +164,7 @@ def main(config: RouteConfig) -> None:
 
     subjects = _subjects(
         jax.tree.map(np.asarray, heatmap),
-        faces,
+        np.asarray(surface.faces),
         np.asarray(score),
         anchor,
         (reaches.position[shown, last[shown]] - poses.p_wo[shown]) @ poses.R_wo[shown],

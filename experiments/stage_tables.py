@@ -93,6 +93,75 @@ def heatmap_ranking(path: Path) -> str:
     return f"{markdown(Table('Ranking', header, rows))}\n\nThe last four: {last}."
 
 
+def eligibility(path: Path) -> str:
+    """Which settings make which objects eligible, and what limits those that are not."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    compared = []
+    for row in d["compared"]:
+        kept, ranks = row["overlap_of_the_eight"], sorted(row["ranks"].values())
+        compared.append(
+            (
+                row["settings"],
+                f"{row['eligible']} of {row['of']}",
+                ", ".join(str(rank) for rank in ranks),
+                f"{100 * kept['mean']:.0f} ({100 * kept['least']:.0f})",
+            )
+        )
+    header = ("settings", "eligible", "ranks of the four", "kept on the eight, mean (least) %")
+    first, last = (d["compared"][k]["settings"] for k in (0, -1))
+    limited = tuple(
+        (
+            row["object"].replace("_", " "),
+            row[first]["limit"],
+            *(f"{row[first][key]:.3f}" for key in ("best", "best_without_it")),
+            *(f"{row[first]['candidates']}", f"{row[last]['candidates']}"),
+            *(f"{row[last]['best']:.3f}", f"{100 * row[last]['share']:.1f}"),
+        )
+        for row in sorted(d["rows"], key=lambda row: row[last]["share"])
+    )
+    names = ("object", "limited by", "best", "best without it", "candidates")
+    titles = (*names, "with the default", "best", "share of the surface %")
+    return "\n\n".join(
+        (
+            markdown(Table("Settings", header, tuple(compared))),
+            markdown(Table("Objects", titles, limited, names=2)),
+        )
+    )
+
+
+def failing_starts(path: Path) -> str:
+    """What tells the start states that always fail from the others, and the reasons."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = []
+    for part in d["parts"]:
+        left = part["left_by"]
+        rows.append(
+            (
+                part["part"],
+                f"{part['failing']} of {part['states']}",
+                *(f"{part['auc'][name]:.2f}" for name in ("lift", "reach", "force", "score")),
+                *(f"{left[k]['failing']} of {left[k]['states']}" for k in left),
+            )
+        )
+    header = ("states", "always fail", "lift", "reach", "force", "low score")
+    header = (*header, "left without lift", "and without reach")
+    reasons: dict[str, int] = {}
+    for row in d["rows"]:
+        reasons[row["reason"]] = reasons.get(row["reason"], 0) + 1
+    counted = ", ".join(f"{name} {n}" for name, n in sorted(reasons.items(), key=lambda r: -r[1]))
+    return (
+        f"{markdown(Table('Failing starts', header, tuple(rows)))}\n\n"
+        f"Of the training states that always fail: {counted}. An arm cannot lift if the palm ends "
+        f"more than {1e3 * d['lift_error_m']:.0f} mm from where it should, a finger cannot reach "
+        f"if its pad stays more than {1e3 * d['reach_m']:.0f} mm from the contact; the least force "
+        f"is that at friction {d['friction']:g}."
+    )
+
+
 def steering(path: Path) -> str:
     """Distance of the chosen contacts from the anchor."""
     d = read(path)

@@ -20,7 +20,7 @@ from small_png import write_png
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.geometry.vectors import distance_to_line
-from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.sampling import Triples, best_triple
 from mjx_grasp.heatmap.steering import Heatmap, steer, steer_near
 from mjx_grasp.language.grounding import target_of
@@ -75,7 +75,8 @@ def main(config: FigureConfig) -> None:
     for name, instruction in track(CASES, "steering", console=Console(stderr=True)):
         has_scan = load_catalogue()[name].split != "figure_only"
         objects_dir = config.objects_dir if has_scan else None
-        mesh, source = object_mesh(name, objects_dir), "scan" if objects_dir else "stand-in"
+        mesh = heatmap_surface(object_mesh(name, objects_dir))
+        source = "scan" if objects_dir else "stand-in"
         heatmap = compute_heatmap(
             np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,
             hand.scoring_friction,

@@ -186,7 +186,7 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         (["{folder}", "--out", "{folder}/slab.obj/maps"], "can be written (Not a directory)"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),
-        (["{folder}", "--edge", "-1"], "--edge"),
+        (["{folder}", "--edge", "-1"], "HeatmapConfig.edge"),
         (["{folder}", "--out", "{folder}/readme.txt"], "a folder"),
     ],
 )

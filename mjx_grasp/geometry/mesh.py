@@ -95,6 +95,14 @@ def surface_normals(
     )
 
 
+def vertex_areas(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> Float[np.ndarray, " v"]:
+    """The share of the surface that is each vertex's: a third of the faces around it, [m²]."""
+    areas = surface_normals(triangles_of(vertices, faces), faces, len(vertices)).areas
+    return np.bincount(faces.T.ravel(), np.tile(areas / 3.0, 3), len(vertices))
+
+
 def bounds(vertices: Float[np.ndarray, "v 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner of the box around vertices, in their unit."""
     # Of columns that are contiguous: NumPy reduces them many times faster.

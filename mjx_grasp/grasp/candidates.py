@@ -131,7 +131,7 @@ def cylinder_candidates(
     wrap = jnp.stack([opposing + offset * up, opposing - offset * up], axis=1)
     width = jnp.full(len(z), 2.0 * radius)
     score = (
-        width_score(width, jnp.asarray(span), config.width_sigma)
+        width_score(width, jnp.asarray(span), config.narrow_sigma, config.width_sigma)
         * anchor_score(jnp.zeros(3), thumb, -normal, config.com_sigma)
         * separation_score(wrap[:, 0], wrap[:, 1], config.full_separation)
     )

@@ -16,7 +16,9 @@ from mjx_grasp.handoff.config import PostureConfig
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.ik import TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, choose_starts
+from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.touch import touch_errors
 
 # Pairs worked on at once: few enough for a processor's cache, many enough for an accelerator.
 _TILE = 32
@@ -48,6 +50,10 @@ class Attempts(NamedTuple):
     """objective of the solver, +inf for a way that may not be used [m²]"""
     agrees: Bool[Array, "n s"]
     """whether the selection would take the same reach axis with this palm (method §2)"""
+    lift_error: Float[Array, "n s"]
+    """from where a lift straight up should bring the palm to where it does [m]"""
+    touch_error: Float[Array, "n s"]
+    """that the worst finger stays away from its contact when it closes [m]"""
     position: Float[Array, "n s 3 3"]
     """targets of thumb, first and second wrap, world [m]"""
     normal: Float[Array, "n s 3 3"]
@@ -95,6 +101,8 @@ def attempt_all(
                 at_limit=found.at_limit,
                 cost=jnp.where(pair.admissible[way], found.cost, jnp.inf),
                 agrees=pair.ways.axis[way] == taken,
+                lift_error=scripted_lift(body, found.q, config.lift_height).error,
+                touch_error=jnp.max(touch_errors(body, found.q, position[way])),
                 position=position[way],
                 normal=normal[way],
             )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from mjx_grasp.grasp.config import TargetConfig
+from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.records.settings import (
@@ -28,6 +29,9 @@ class SamplingConfig(Settings):
 
     area: ObjectArea = field(default_factory=ObjectArea)
     """where objects lie"""
+    standing: Share = 0.0
+    """share of the poses in which objects stand as they were scanned, besides where they come to
+    rest by themselves; for objects that do stand so, such as tall cans [-]"""
     poses_per_round: Count = 128
     """object poses drawn at a time [-]"""
     candidates_per_pose: Count = 3
@@ -64,6 +68,14 @@ class PostureConfig(Settings):
         )
     )
     """what the solver keeps apart; what is refused is for MuJoCo's collisions to say"""
+    lift_height: NonNegative = 0.15
+    """that the palm is to rise straight up from a posture [m]"""
+    lift_error: Annotated[float, Range(0, finite=False)] = 0.03
+    """a posture from which it ends farther from there is refused; inf refuses none, as published:
+    joint limits in the lift were what most start states failed by that always did [m]"""
+    touch_error: Annotated[float, Range(0, finite=False)] = 0.022
+    """a posture from which a closing finger stays farther from its contact is refused; inf refuses
+    none, as published [m]"""
 
 
 @dataclass(frozen=True)
@@ -84,6 +96,7 @@ class HandoffConfig(ObjectsConfig):
     """pre-grasps that may share one heatmap candidate [-]"""
     seed: Seed = 0
     """of everything random; an object's states do not depend on the other objects"""
+    heatmap: HeatmapConfig = field(default_factory=HeatmapConfig)
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.distance_field import distance_cube
+from mjx_grasp.geometry.mesh import vertex_areas
 from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
 from mjx_grasp.grasp.config import TargetConfig
@@ -24,8 +25,8 @@ from mjx_grasp.handoff.attempts import Attempts, Pairs, attempt_all
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
-from mjx_grasp.handoff.sampling import draw_candidates, sample_object_poses
-from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.handoff.sampling import draw_candidates, poses_at_rest, sample_object_poses
+from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library
@@ -49,6 +50,8 @@ class _Task(NamedTuple):
     obj: ObjectModel
     candidates: Candidates
     options: TargetOptions
+    area: Float[np.ndarray, " c"]
+    """of the surface around each candidate [m²]"""
     suits: Bool[np.ndarray, " c"]
     """which candidates have a sufficient score"""
     shape: Shape
@@ -90,14 +93,16 @@ class HandoffGenerator:
         started = time.perf_counter()
         config, report = self._config, ObjectReport(obj.name)
         rng = np.random.default_rng([config.seed, zlib.crc32(obj.name.encode())])
-        candidates = vertex_candidates(heatmap_of(obj, self._robot.hand))
+        candidates = vertex_candidates(heatmap_of(obj, self._robot.hand, config.heatmap))
         suits = np.asarray(candidates.valid & (candidates.score >= config.sampling.min_score))
         report.eligible_candidates = int(suits.sum())
         chosen: list[_Accepted] = []
         if suits.any():
             options = target_options(candidates, config.targets)
             checker = CollisionChecker(build_scene([obj], self._robot))
-            task = _Task(obj, candidates, options, suits, self._shape(obj), checker)
+            surface = heatmap_surface(obj.mesh, config.heatmap)
+            area = vertex_areas(np.asarray(surface.vertices), np.asarray(surface.faces))
+            task = _Task(obj, candidates, options, area, suits, self._shape(obj), checker)
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
                 accepted += self._round(task, report, rng)
@@ -122,7 +127,8 @@ class HandoffGenerator:
     ) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
         sampling, candidates = self._config.sampling, task.candidates
-        pos, quat = sample_object_poses(task.obj.resting, sampling.poses_per_round, sampling, rng)
+        resting = poses_at_rest(task.obj, sampling.standing)
+        pos, quat = sample_object_poses(resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
         pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
         turns = np.array([_matrix(q) for q in quat], np.float32)
@@ -131,7 +137,7 @@ class HandoffGenerator:
         pairs: list[tuple[int, int]] = []
         for k in range(len(pos)):
             allowed = task.suits & high[k].any(axis=1)
-            drawn = draw_candidates(score, thumb, allowed, sampling, rng)
+            drawn = draw_candidates(score, task.area, thumb, allowed, sampling, rng)
             report.poses_without_candidate += len(drawn) == 0
             pairs += [(k, c) for c in drawn]
         first_pose = report.poses
@@ -185,6 +191,10 @@ class HandoffGenerator:
                 outcome = "limits" if found.at_limit[start] else "unreachable"
             elif not found.agrees[start]:
                 outcome = "reach-axis"
+            elif found.lift_error[start] > self._config.posture.lift_error:
+                outcome = "lift"
+            elif found.touch_error[start] > self._config.posture.touch_error:
+                outcome = "touch"
             else:
                 reason = collision(np.asarray(found.q[start]))
                 if reason is None:

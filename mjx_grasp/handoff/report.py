@@ -16,7 +16,7 @@ from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.sim.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
-OUTCOMES = ("unreachable", "limits", "reach-axis", *reversed(REASONS))
+OUTCOMES = ("unreachable", "limits", "reach-axis", "lift", "touch", *reversed(REASONS))
 
 
 @dataclass
@@ -68,13 +68,16 @@ class ObjectReport:
 _COLUMNS = {
     "no IK": ("unreachable", "limits"),
     "axis": ("reach-axis",),
+    "lift": ("lift",),
+    "touch": ("touch",),
     "self": ("self",),
     "arm": ("arm-table", "arm-object"),
     "table": ("hand-table",),
     "object": ("hand-object",),
 }
 _CAPTION = (
-    "tried, and refused for: no inverse kinematics; an axis that the selection would not take; a "
+    "tried, and refused for: no inverse kinematics; an axis that the selection would not take; an "
+    "arm that cannot lift straight up from there; a finger that cannot touch its contact; a "
     "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
     "are the others, kept as many as were asked for, few of each candidate."
 )

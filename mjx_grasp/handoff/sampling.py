@@ -3,12 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.handoff.config import SamplingConfig
-from mjx_grasp.objects.model import RestingPose
+from mjx_grasp.objects.model import ObjectModel, RestingPose
+
+
+def poses_at_rest(obj: ObjectModel, standing: float) -> tuple[RestingPose, ...]:
+    """An object's resting poses, with a share of it standing as it was scanned.
+
+    What falls at random hardly ever ends on its small base, but is put there: a can is to be
+    grasped from the side too.
+
+    Args:
+        obj: The object; with a share above 0 one that stands as scanned, its z axis up.
+        standing: Share of the poses that stand so [-].
+    """
+    if standing == 0:
+        return obj.resting
+    height = -float(obj.mesh.bounds[0, 2])
+    upright = RestingPose(np.array([1.0, 0.0, 0.0, 0.0]), height, standing)
+    total = sum(pose.probability for pose in obj.resting)
+    fallen = (
+        replace(pose, probability=(1 - standing) * pose.probability / total) for pose in obj.resting
+    )
+    return (upright, *fallen)
 
 
 def sample_object_poses(
@@ -40,6 +62,7 @@ def sample_object_poses(
 
 def draw_candidates(
     score: Float[np.ndarray, " v"],
+    area: Float[np.ndarray, " v"],
     thumb: Float[np.ndarray, "v 3"],
     allowed: Bool[np.ndarray, " v"],
     config: SamplingConfig,
@@ -47,17 +70,21 @@ def draw_candidates(
 ) -> Int[np.ndarray, " n"]:
     """Candidates for one object pose: good ones more often, no two close together.
 
-    A draw without replacement with weights exp(score/temperature) (the Gumbel trick), thinned so
-    that thumb contacts keep their distance. May return fewer than asked, or none.
+    A draw without replacement with weights area · exp(score/temperature) (the Gumbel trick),
+    thinned so that thumb contacts keep their distance. With the areas it is a draw of points of the
+    surface: where the mesh is dense there are more candidates, not more draws. May return fewer
+    than asked, or none.
 
     Args:
         score: Heatmap scores.
+        area: Of the surface around each candidate [m²].
         thumb: Thumb contacts in [m].
         allowed: Which candidates may be used at this pose.
         config: Number, temperature, distance.
         rng: Source of randomness.
     """
-    keys = score / config.temperature + rng.gumbel(size=len(score))
+    share = np.log(np.maximum(area, np.finfo(np.float64).tiny))
+    keys = score / config.temperature + share + rng.gumbel(size=len(score))
     order = np.flatnonzero(allowed)
     order = order[np.argsort(-keys[order], kind="stable")]
     chosen: list[int] = []

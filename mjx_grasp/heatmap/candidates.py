@@ -149,11 +149,12 @@ def best_candidates(
     reach = centre - vertices
     width = norm(reach)
     axis = unit(reach)
-    pushes = friction_score(-axis[:, None], -contact_normals, hand.friction)
+    opposition = config.opposition_width
+    pushes = friction_score(-axis[:, None], -contact_normals, hand.friction, opposition)
     com = masses.com[owner]
     terms = {
-        "width": width_score(width, hand.span, config.width_sigma),
-        "thumb": friction_score(axis, -normals, hand.friction),
+        "width": width_score(width, hand.span, config.narrow_sigma, config.width_sigma),
+        "thumb": friction_score(axis, -normals, hand.friction, opposition),
         "wrap": 0.5 * (pushes[:, 0] + pushes[:, 1]),
         "coherence": coherence_score(
             contact_normals[:, 0], contact_normals[:, 1], config.coherence_angle

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import trimesh
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
@@ -29,6 +30,7 @@ from mjx_grasp.heatmap.backends import (
 from mjx_grasp.heatmap.candidates import GraspLimits, HeatmapRows, Masses, Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
+from mjx_grasp.objects.refine import refined
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
@@ -114,17 +116,34 @@ def compute_heatmaps(
     return [heatmaps[i] for i in range(len(meshes))]
 
 
+def heatmap_surface(mesh: trimesh.Trimesh, config: HeatmapConfig | None = None) -> trimesh.Trimesh:
+    """The mesh with edges as short as candidates are to be close; its vertices are the candidates.
+
+    Every heatmap of an object or of a file is computed on it, so that how a surface happens to be
+    cut into triangles does not decide whether it can be grasped.
+
+    Args:
+        mesh: In [m].
+        config: Settings with the longest edge; the defaults if None.
+    """
+    return refined(mesh, (config or HeatmapConfig()).edge)
+
+
 def heatmap_of(obj: ObjectModel, hand: HandSpec, config: HeatmapConfig | None = None) -> Heatmap:
-    """The heatmap of an object for a hand, in the object frame; see :func:`compute_heatmap`."""
+    """The heatmap of an object for a hand, in the object frame; see :func:`heatmaps_of`."""
     return heatmaps_of([obj], hand, config)[0]
 
 
 def heatmaps_of(
     objects: Sequence[ObjectModel], hand: HandSpec, config: HeatmapConfig | None = None
 ) -> list[Heatmap]:
-    """The heatmaps of objects for a hand, worked on together; see :func:`compute_heatmaps`."""
+    """The heatmaps of objects for a hand, worked on together; see :func:`compute_heatmaps`.
+
+    Candidates are the vertices of each object's :func:`heatmap_surface`.
+    """
+    surfaces = [heatmap_surface(o.mesh, config) for o in objects]
     return compute_heatmaps(
-        [(np.asarray(o.mesh.vertices), np.asarray(o.mesh.faces)) for o in objects],
+        [(np.asarray(s.vertices), np.asarray(s.faces)) for s in surfaces],
         [o.com for o in objects],
         hand.span,
         hand.scoring_friction,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +14,11 @@ import tyro
 from jaxtyping import Float
 
 from mjx_grasp.geometry.mesh import principal_frame
-from mjx_grasp.heatmap.compute import compute_heatmap
+from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
 from mjx_grasp.heatmap.steering import steer_to
-from mjx_grasp.objects.meshes import read_mesh
-from mjx_grasp.objects.refine import refined
-from mjx_grasp.records.settings import CommandSettings, Finite, NonNegative, Positive, Several
+from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Several
 from mjx_grasp.robot.spec import load_robot
 
 Point = Annotated[tuple[Finite, Finite, Finite], tyro.conf.arg(metavar="X Y Z")]
@@ -47,9 +45,7 @@ class MeshConfig(CommandSettings):
     """narrowest and widest grasp; the hand's by default [m]"""
     friction: Positive | None = None
     """scoring friction; the hand's by default [-]"""
-    edge: NonNegative = 0.010
-    """longest edge: candidates are vertices, so coarse meshes are refined to it; 0 keeps the mesh
-    as it is [m]"""
+    heatmap: HeatmapConfig = field(default_factory=HeatmapConfig)
 
     def grip(self) -> tuple[tuple[float, float], float]:
         """Span [m] and scoring friction [-], as asked for or of the robot's hand."""
@@ -57,14 +53,6 @@ class MeshConfig(CommandSettings):
             return self.span, self.friction
         hand = load_robot(self.robot).hand
         return self.span or hand.span, self.friction or hand.scoring_friction
-
-    def read(self, path: Path) -> trimesh.Trimesh:
-        """A mesh of a file, with edges no longer than asked for.
-
-        Raises:
-            FileError: It cannot be used.
-        """
-        return refined(read_mesh(path), self.edge)
 
 
 def heatmap_of_mesh(
@@ -75,13 +63,16 @@ def heatmap_of_mesh(
 ) -> StoredHeatmap:
     """The heatmap of a mesh at uniform density, as it is kept in files.
 
+    Its vertices and faces are those of the mesh refined, see :func:`..compute.heatmap_surface`.
+
     Args:
         name: Of the mesh.
         mesh: In [m].
         grip: Span [m] and scoring friction [-] of the hand.
         config: Settings of the heatmap; the defaults if None.
     """
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    surface = heatmap_surface(mesh, config)
+    vertices, faces = np.asarray(surface.vertices), np.asarray(surface.faces)
     heatmap = jax.tree.map(np.asarray, compute_heatmap(vertices, faces, None, *grip, config))
     com = _point(principal_frame(vertices, faces).centre)
     return StoredHeatmap(heatmap, faces, HeatmapInfo(name, *grip, com))

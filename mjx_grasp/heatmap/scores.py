@@ -9,23 +9,24 @@ from mjx_grasp.geometry.vectors import angle_between, distance_to_line, norm
 
 
 def width_score(
-    width: Float[Array, "*batch"], span: Float[Array, " 2"], sigma: float
+    width: Float[Array, "*batch"], span: Float[Array, " 2"], narrow: float, wide: float
 ) -> Float[Array, "*batch"]:
-    """S_w: 1 on the hand's span [m], Gaussian tails ``exp(−(Δ/σ)²)`` outside."""
-    outside = jnp.maximum(jnp.maximum(span[0] - width, width - span[1]), 0.0)
-    return jnp.exp(-((outside / sigma) ** 2))
+    """S_w: 1 on the hand's span [m], Gaussian tails ``exp(−(Δ/σ)²)`` with a σ for either side."""
+    below, above = jnp.maximum(span[0] - width, 0.0), jnp.maximum(width - span[1], 0.0)
+    return jnp.exp(-((below / narrow) ** 2 + (above / wide) ** 2))
 
 
 def friction_score(
     force: Float[Array, "*#batch 3"],
     inward: Float[Array, "*#batch 3"],
     friction: Float[Array, ""],
+    width: float,
 ) -> Float[Array, "*batch"]:
-    """S_t, S_k: ``exp(−(θ/(½·arctan μ))²)``, θ between the pushing direction and inward normal.
+    """S_t, S_k: ``exp(−(θ/(k·arctan μ))²)``, θ between the pushing direction and inward normal.
 
-    A contact on the friction cone's edge scores e⁻⁴.
+    With a width k of ½ a contact on the friction cone's edge scores e⁻⁴.
     """
-    return jnp.exp(-((angle_between(force, inward) / (0.5 * jnp.arctan(friction))) ** 2))
+    return jnp.exp(-((angle_between(force, inward) / (width * jnp.arctan(friction))) ** 2))
 
 
 def coherence_score(

@@ -25,12 +25,10 @@ from mjx_grasp.objects.inertia import mass_properties
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.objects.parts import parts_of
-from mjx_grasp.objects.refine import refined
 from mjx_grasp.objects.resting import RestingPose, resting_poses
 from mjx_grasp.records.atomic import replacing
 
 _CACHE_FORMAT = 3
-_EDGE = 0.010  # m; candidates are vertices, of which CAD faces have few
 
 Derived = tuple[tuple[Piece, ...], float]
 """Convex pieces and their outward error [m]."""
@@ -44,7 +42,7 @@ class ObjectModel:
     source: str
     """'scan', 'parametric', or 'mesh' for a user's own."""
     mesh: trimesh.Trimesh
-    """Closed, wound outwards; a user's has no edge longer than 1 cm, if it is not very large [m]."""
+    """Closed, wound outwards [m]."""
     mass: float
     """kg, of the catalogue or as the user says."""
     com: Float[np.ndarray, "3"]
@@ -58,7 +56,7 @@ class ObjectModel:
     resting: tuple[RestingPose, ...]
     """Stable poses on the table, the most probable first."""
     content_hash: str
-    """SHA-256 of the mesh as it was read, in whole micrometres; handoff states belong to one."""
+    """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
     parts: Mapping[str, Point] = field(default_factory=dict)
     """Named parts: centre points [m]."""
 
@@ -174,16 +172,14 @@ def _model(
     objects_dir: Path | None,
     weight: Weight,
 ) -> ObjectModel:
-    digest = _content_hash(mesh)
     if asked.file is not None:
         source, mass = "mesh", weight.of(mesh.volume)[0]
-        mesh = refined(mesh, _EDGE)
     else:
         source = "parametric" if objects_dir is None else "scan"
         mass = load_catalogue()[asked.name].mass
     com, inertia = mass_properties(mesh, mass)
     pieces, error = derived
-    resting = resting_poses(pieces, com)
+    resting, digest = resting_poses(pieces, com), _content_hash(mesh)
     return ObjectModel(
         asked.name, source, mesh, mass, com, inertia, pieces, error, resting, digest, parts
     )

@@ -215,6 +215,7 @@ class ClosingTask:
             measured=measured,
             truth=truth,
             lifting=closer.lifting,
+            in_time=closer.tick * self.control_dt <= self.config.stages.acquisition_s,
             guidance=self.closer.guidance(closer, measured, targets),
             pad_twist=control.pad_twists(measured, at),
             palm_velocity=jnp.sum(palm[:, :3] * measured.qd[:, None, at.arm], axis=-1),

@@ -50,13 +50,16 @@ class RewardConfig(Settings):
     action_acceleration: Finite = -0.005
     """times the squared second difference of the action"""
     held: Finite = 0.0
-    """per tick in which the object stays where it was in the palm when the lift began"""
+    """per tick in which the object stays where it was in the palm when the lift began, and per tick
+    of the time for contact acquisition"""
     held_scale: Positive = 0.01
     """displacement in the palm at which that has fallen to 1/e [m]"""
     force: Finite = 0.0
     """times the mean finger force in the lift [1/N]"""
     over_budget: Finite = 0.0
     """times the mean finger force in the lift beyond the force budget [1/N]"""
+    hard: Finite = 0.0
+    """times the largest force on a finger beyond twice the budget, at any time [1/N]"""
 
 
 @dataclass(frozen=True)

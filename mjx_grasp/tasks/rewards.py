@@ -14,6 +14,9 @@ from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.config import RewardConfig
 
+_MOST_EXCESS_N = 10.0
+"""A jammed hand's hundreds of newtons shall not outweigh all other grasps."""
+
 
 class Moment(NamedTuple):
     """What a reward may look at: a control tick after its physics."""
@@ -22,6 +25,8 @@ class Moment(NamedTuple):
     truth: Truth
     lifting: Bool[Array, "*b"]
     """the stage during the tick: contact acquisition, or the lift"""
+    in_time: Bool[Array, "*b"]
+    """whether the time for contact acquisition is not over"""
     guidance: Float[Array, "*b f 6"]
     """the field at the pads [m/s, rad/s]"""
     pad_twist: Float[Array, "*b f 6"]
@@ -61,6 +66,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
+        RewardTerm("hard", config.hard, hard),
     )
     return (*published, *(term for term in gentle if term.weight))
 
@@ -104,16 +110,33 @@ def action_acceleration(moment: Moment) -> Float[Array, "*b"]:
 def held(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
     """exp(−(s/σ)²), s the displacement of the object in the palm since lift onset, 0 before.
 
-    Were it paid in the lift alone, to lift hastily would pay more than to lift surely.
+    It is paid in the lift and in the time before it. In the lift alone, to lift hastily would pay
+    more than to lift surely; before it without an end, not to lift at all.
     """
-    return jnp.exp(-((moment.slip / config.held_scale) ** 2))
+    value = jnp.exp(-((moment.slip / config.held_scale) ** 2))
+    return jnp.where(moment.lifting | moment.in_time, value, 0.0)
+
+
+def finger_forces(moment: Moment) -> Float[Array, "*b f"]:
+    """Contact force of each finger [N]."""
+    return jnp.sqrt(jnp.sum(moment.truth.finger_force**2, -1) + 1e-12)
 
 
 def mean_force(moment: Moment) -> Float[Array, "*b"]:
     """Contact force per finger [N]."""
-    return jnp.mean(jnp.sqrt(jnp.sum(moment.truth.finger_force**2, -1) + 1e-12), axis=-1)
+    return jnp.mean(finger_forces(moment), axis=-1)
 
 
 def over_budget(moment: Moment) -> Float[Array, "*b"]:
-    """The same beyond the budget, in the lift [N]."""
-    return jnp.where(moment.lifting, jnp.maximum(mean_force(moment) - moment.budget, 0.0), 0.0)
+    """The same beyond the budget in the lift, as far as `_MOST_EXCESS_N` [N]."""
+    excess = jnp.clip(mean_force(moment) - moment.budget, 0.0, _MOST_EXCESS_N)
+    return jnp.where(moment.lifting, excess, 0.0)
+
+
+def hard(moment: Moment) -> Float[Array, "*b"]:
+    """The largest force on a finger beyond twice the budget, as far as `_MOST_EXCESS_N` [N].
+
+    Twice, for of a balanced grip the thumb bears half as much again as the mean.
+    """
+    most = jnp.max(finger_forces(moment), axis=-1)
+    return jnp.clip(most - 2.0 * moment.budget, 0.0, _MOST_EXCESS_N)

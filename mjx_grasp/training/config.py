@@ -68,9 +68,9 @@ class TrainConfig(ObjectsConfig):
 
 
 FEELING = TaskConfig(
-    grip=REACTING,
+    grip=replace(REACTING, force=1.5),
     observation=ObservationConfig(forces=True, budget=True),
-    reward=RewardConfig(held=4.0, over_budget=-0.5),
+    reward=RewardConfig(held=4.0, over_budget=-2.0, hard=-0.2),
 )
 """A policy that senses forces and keeps to a budget of them, on a grip that answers to load."""
 VARIED = StartNoise(
@@ -78,7 +78,7 @@ VARIED = StartNoise(
     angle_rad=math.radians(5.0),
     friction=(0.4, 1.0),
     mass_scale=(0.8, 1.25),
-    budget_n=(1.5, 6.0),
+    budget_n=(1.0, 4.0),
 )
 """What its training draws anew at each reset."""
 

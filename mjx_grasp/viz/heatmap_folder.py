@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -14,7 +14,6 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
@@ -22,6 +21,7 @@ from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, find_meshes
+from mjx_grasp.objects.meshes import read_mesh
 from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.records.atomic import check_new_folder, replacing
 from mjx_grasp.records.provenance import provenance
@@ -52,7 +52,6 @@ class HeatmapsConfig(MeshConfig):
     """how far apart triples must be [m]"""
     seed: Seed = 0
     """of the draw"""
-    heatmap: HeatmapConfig = field(default_factory=HeatmapConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,7 +124,7 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
 
 def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:
     """Reads a mesh and finds its anchor: everything that can fail, before anything long."""
-    mesh = config.read(file.path)
+    mesh = read_mesh(file.path)
     if config.instruction is not None:
         target = target_of(file.name, mesh, parts_of(file, mesh))
         found = PartGrounder().ground(config.instruction, target)

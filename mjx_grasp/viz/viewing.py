@@ -17,6 +17,7 @@ from mjx_grasp.heatmap.files import StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
 from mjx_grasp.language.grounding import Target, target_of
 from mjx_grasp.objects.folder import MeshFile
+from mjx_grasp.objects.meshes import read_mesh
 from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.records.settings import Range
 from mjx_grasp.viz.viewer import Viewer, import_viser
@@ -69,9 +70,9 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
         name = stored.info.name
         mesh = trimesh.Trimesh(np.asarray(stored.heatmap.vertices), stored.faces, process=False)
     else:
-        name, mesh = config.mesh.stem, config.read(config.mesh)
+        name, mesh = config.mesh.stem, read_mesh(config.mesh)
         with Console(stderr=True).status(f"computing the heatmap of {name}"):
-            stored = heatmap_of_mesh(name, mesh, config.grip())
+            stored = heatmap_of_mesh(name, mesh, config.grip(), config.heatmap)
     return stored, target_of(name, mesh, parts_of(MeshFile(name, config.mesh), mesh))
 
 

@@ -15,7 +15,16 @@ from mjx_grasp.handoff.states import eligible, states_of
 BAD, GOOD = 1.0, 0.0  # errors on either side of the tolerance [m]
 
 
-def first_clear(error, *, agrees=(True, True), usable=(True, True), limit=False, hit=None):
+def first_clear(
+    error,
+    *,
+    agrees=(True, True),
+    usable=(True, True),
+    limit=False,
+    lift=(GOOD, GOOD),
+    touch=(GOOD, GOOD),
+    hit=None,
+):
     """Two starts, the second one cheaper; the choice and the reason against it."""
     cost = np.where(usable, [1.0, 0.0], np.inf)
     found = Attempts(
@@ -23,6 +32,8 @@ def first_clear(error, *, agrees=(True, True), usable=(True, True), limit=False,
         error=np.array(error)[:, None] * np.ones(3),
         at_limit=np.full(2, limit),
         agrees=np.array(agrees),
+        lift_error=np.array(lift),
+        touch_error=np.array(touch),
         q=np.arange(2),
         position=np.zeros((2, 3, 3)),
         normal=np.zeros((2, 3, 3)),
@@ -37,6 +48,8 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
     assert first_clear([GOOD, GOOD], hit={1: "hand-table"}) == (0, None)
     assert first_clear([GOOD, GOOD], agrees=(True, False)) == (0, None)
     assert first_clear([GOOD, GOOD], usable=(True, False)) == (0, None)
+    assert first_clear([GOOD, GOOD], lift=(GOOD, BAD)) == (0, None)
+    assert first_clear([GOOD, GOOD], touch=(GOOD, BAD)) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +58,8 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
         ("unreachable", {"error": [BAD, BAD]}),
         ("limits", {"error": [BAD, BAD], "limit": True}),
         ("reach-axis", {"error": [BAD, GOOD], "agrees": (False, False)}),
+        ("lift", {"error": [GOOD, GOOD], "agrees": (True, False), "lift": (BAD, BAD)}),
+        ("touch", {"error": [GOOD, GOOD], "lift": (GOOD, BAD), "touch": (BAD, BAD)}),
         ("hand-object", {"error": [BAD, GOOD], "hit": {1: "hand-object"}}),
         ("self", {"error": [GOOD, GOOD], "hit": {0: "self"}, "agrees": (True, False)}),
     ],

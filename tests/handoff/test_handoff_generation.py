@@ -5,6 +5,7 @@ import sys
 from collections import Counter
 from dataclasses import replace
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -16,6 +17,9 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.report import OUTCOMES, report_table
 from mjx_grasp.objects.model import load_object
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.lift import scripted_lift
+from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 
@@ -116,6 +120,15 @@ def test_joints_are_within_their_limits_and_the_margin(generated, config):
     margin = np.where([n in solved for n in robot.joints], kept, -1e-6)
     assert np.all(handoffs.q >= limits[:, 0] + margin)
     assert np.all(handoffs.q <= limits[:, 1] - margin)
+
+
+def test_from_every_state_the_arm_can_lift_straight_up_and_the_fingers_touch(generated, config):
+    handoffs, _ = generated
+    body, posture = robot_body(load_robot()), config.posture
+    lift = jax.vmap(lambda q: scripted_lift(body, q, posture.lift_height))(handoffs.q)
+    assert np.all(lift.error <= posture.lift_error + 1e-4)
+    touch = jax.vmap(lambda q, at: touch_errors(body, q, at))(handoffs.q, handoffs.target_pos)
+    assert np.all(touch <= posture.touch_error + 1e-4)
 
 
 def test_every_pair_is_accounted_for(generated):

@@ -15,11 +15,11 @@ import trimesh
 from scipy.spatial import cKDTree
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-OFFSETS = np.array([0.010, 0.015, 0.020, 0.025])
+OFFSETS = np.array([0.005, 0.010, 0.015, 0.020, 0.025])
 RADIUS, FEWEST = 0.015, 12
 ISOTROPY, FLATNESS = 0.05, 1e-4
 PARALLEL = np.radians(10.0)
-WIDTH_SIGMA, COM_SIGMA, SEPARATION = 0.010, 0.030, 0.030
+NARROW_SIGMA, WIDTH_SIGMA, COM_SIGMA, SEPARATION = 0.025, 0.010, 0.030, 0.030
 COHERENCE = np.radians(30.0)
 # Principal moments that agree to this have no axes of their own.
 EQUAL_MOMENTS = 1e-6
@@ -262,8 +262,8 @@ def heatmap(
     width = np.linalg.norm(centre - vertices, axis=-1)
     axis = normalised(centre - vertices)
     cone = 0.5 * np.arctan(friction)
-    outside = np.maximum(0, np.maximum(span[0] - width, width - span[1]))
-    s_w = np.exp(-((outside / WIDTH_SIGMA) ** 2))
+    below, above = np.maximum(0, span[0] - width), np.maximum(0, width - span[1])
+    s_w = np.exp(-((below / NARROW_SIGMA) ** 2 + (above / WIDTH_SIGMA) ** 2))
     s_t = np.exp(-((angle(axis, inward) / cone) ** 2))
     s_k = np.exp(-((angle(-axis[:, None], -wrap_normals) / cone) ** 2))
     s_coh = np.exp(-((angle(wrap_normals[:, 0], wrap_normals[:, 1]) / COHERENCE) ** 2))

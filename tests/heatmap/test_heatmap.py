@@ -81,6 +81,7 @@ def test_scaling_mesh_and_lengths_together_leaves_the_scores(lump_map):
     config = HeatmapConfig(
         wrap_offsets=tuple(k * h for h in default.wrap_offsets),
         curvature_radius=k * default.curvature_radius,
+        narrow_sigma=k * default.narrow_sigma,
         width_sigma=k * default.width_sigma,
         com_sigma=k * default.com_sigma,
         full_separation=k * default.full_separation,
@@ -153,7 +154,7 @@ def test_friction_cone_edge_scores_e_to_the_minus_four():
 
     lean = np.arctan(FRICTION)
     force = jnp.float32([np.sin(lean), 0, np.cos(lean)])
-    score = friction_score(force, jnp.float32([0, 0, 1]), jnp.float32(FRICTION))
+    score = friction_score(force, jnp.float32([0, 0, 1]), jnp.float32(FRICTION), 0.5)
     assert score == pytest.approx(np.exp(-4), rel=1e-4)
 
 

@@ -11,6 +11,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 from mjx_grasp.training import after
@@ -40,7 +41,9 @@ def test_the_evaluation_has_the_condition_of_the_training():
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
 
 
-def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path, scene, starts):
+def test_fixed_fingers_and_coarse_steps_are_for_the_training_alone(
+    monkeypatch, tmp_path, scene, starts
+):
     config = preset_config("cpu")
     assert config.scene.fix_idle_fingers and not preset_config("paper").scene.fix_idle_fingers
     (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())
@@ -52,7 +55,9 @@ def test_idle_fingers_are_fixed_for_the_training_alone(monkeypatch, tmp_path, sc
     states = handmade.handoffs(scene.objects)
     with pytest.raises(Asked) as evaluation:
         after.evaluate_run(tmp_path, config, World(scene, starts), states, Console(quiet=True))
-    moving = replace(config.scene, fix_idle_fingers=False)
+    exact = SceneConfig().physics_dt
+    assert config.scene.physics_dt > exact
+    moving = replace(config.scene, fix_idle_fingers=False, physics_dt=exact)
     assert evaluation.value.args == (scene.objects, "rizon4_hx5d20", moving)
 
 

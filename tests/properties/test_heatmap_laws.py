@@ -72,6 +72,7 @@ def test_scaling_mesh_and_lengths_together_scales_the_triples(k, which):
     config = HeatmapConfig(
         wrap_offsets=tuple(k * h for h in default.wrap_offsets),
         curvature_radius=k * default.curvature_radius,
+        narrow_sigma=k * default.narrow_sigma,
         width_sigma=k * default.width_sigma,
         com_sigma=k * default.com_sigma,
         full_separation=k * default.full_separation,
@@ -127,7 +128,7 @@ def test_angle_terms_fall_with_the_angle(a, b):
     up = jnp.float32([0, 0, 1])
     tilted = [jnp.float32([np.sin(x), 0, np.cos(x)]) for x in (a, b)]
     for score in (
-        lambda n: terms.friction_score(n, up, jnp.float32(FRICTION)),
+        lambda n: terms.friction_score(n, up, jnp.float32(FRICTION), 0.5),
         lambda n: terms.coherence_score(n, up, 0.5),
     ):
         near, far = (float(score(n)) for n in tilted)
@@ -143,7 +144,7 @@ def test_length_terms_are_monotone(a, b):
     zero, x, z = jnp.float32([[0, 0, 0], [1, 0, 0], [0, 0, 1]])
 
     def width(w):
-        return float(terms.width_score(jnp.asarray(w), jnp.float32(SPAN), 0.01))
+        return float(terms.width_score(jnp.asarray(w), jnp.float32(SPAN), 0.025, 0.01))
 
     # Rises up to the span, 1 on it, falls beyond it.
     if b <= SPAN[0]:

@@ -119,6 +119,7 @@ def test_what_came_later_changes_nothing_where_it_is_not_asked_for():
         "reward.held": 0.0,
         "reward.force": 0.0,
         "reward.over_budget": 0.0,
+        "reward.hard": 0.0,
     }
     assert {path: later[path] for path in off} == off
 
@@ -218,15 +219,32 @@ def test_a_run_of_the_first_version_keeps_its_task(tmp_path):
 
 TASK_OF_PAPER = {"action.residual": "integrated", "lift.delay_s": 0.0, "grip.together": False}
 """What the publication has otherwise than our default."""
+TASK_THAT_FEELS = {
+    "grip.force": 1.5,
+    "grip.split": "balanced",
+    "grip.direction": "line",
+    "grip.follow": 0.05,
+    "grip.friction": 0.4,
+    "observation.forces": True,
+    "observation.budget": True,
+    "reward.held": 4.0,
+    "reward.over_budget": -2.0,
+    "reward.hard": -0.2,
+}
+"""What a policy that feels has otherwise."""
 
 
 @pytest.mark.parametrize("gpu", [False, True])
 def test_presets_change_what_they_must_and_no_more(monkeypatch, gpu):
     monkeypatch.setattr(training_config, "has_gpu", lambda: gpu)
     default, task = training_config.TrainConfig(), numbers(ClosingTaskConfig())
-    for name, changed in (("cpu", {}), ("paper", TASK_OF_PAPER), *[("gpu", {})] * gpu):
+    feeling = ("cpu", "gpu") if gpu else ("cpu",)
+    for name in (*feeling, "paper"):
         preset = preset_config(name)
-        assert numbers(preset.task) == task | changed
-        assert preset.noise == default.noise and preset.loop == default.loop
+        assert numbers(preset.task) == task | (
+            TASK_OF_PAPER if name == "paper" else TASK_THAT_FEELS
+        )
+        assert (preset.noise == default.noise) == (name == "paper")
+        assert preset.noise.robot == default.noise.robot and preset.loop == default.loop
         for field in ("robot", "handoffs", "seed", "evaluation_episodes", "out", "resume"):
             assert getattr(preset, field) == getattr(default, field)

@@ -37,7 +37,7 @@ def state(seed):
     )
 
 
-def moment(lifting=False, **changes):
+def moment(lifting=False, in_time=True, **changes):
     """A moment of one world in which all is zero but what is given."""
     rest = dict(
         guidance=np.zeros((3, 6)),
@@ -54,6 +54,7 @@ def moment(lifting=False, **changes):
         measured=Measured(*[jnp.zeros(0)] * len(Measured._fields)),
         truth=Truth(*[jnp.zeros(0)] * len(Truth._fields))._replace(tip_found=jnp.asarray(touching)),
         lifting=jnp.asarray(lifting),
+        in_time=jnp.asarray(in_time),
         **values,
     )
 
@@ -149,10 +150,24 @@ def test_contact_counts_fingers_in_batches():
     np.testing.assert_array_equal(rewards.contact(moment(touching=touching)), [2, 0, 3])
 
 
-def test_holding_pays_as_much_before_the_lift_as_in_it():
-    """Whoever is paid for the lift alone lifts hastily."""
+def test_neither_haste_nor_refusal_to_lift_pays():
+    """As much is paid before the lift as in it, but not for ever."""
     (held,) = [t for t in rewards.closing_terms(RewardConfig(held=4.0)) if t.name == "held"]
     assert held.weight == 4.0
     assert held.value(moment(lifting=False)) == held.value(moment(lifting=True)) == 1.0
+    assert held.value(moment(lifting=False, in_time=False)) == 0.0
+    assert held.value(moment(lifting=True, in_time=False)) == 1.0
     slipped = held.value(moment(lifting=True, slip=CONFIG.held_scale))
     np.testing.assert_allclose(slipped, np.exp(-1.0), rtol=1e-6)
+
+
+def test_a_hard_finger_costs_beyond_twice_the_budget_up_to_a_bound():
+    """In the lift or before."""
+
+    def cost(force, lifting=False):
+        at = moment(lifting=lifting, budget=3.0)
+        fingers = jnp.zeros((3, 3)).at[1, 2].set(force)
+        return float(rewards.hard(at._replace(truth=at.truth._replace(finger_force=fingers))))
+
+    assert cost(5.9) == 0.0
+    np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 10], rtol=1e-5)

@@ -123,7 +123,7 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     figure.legend(
         handles=[shown[name] for name in names],
         labels=[_LEGEND.get(name, name) for name in names],
-        loc="outside lower center", ncols=4, frameon=False, fontsize=8,
+        loc="outside lower center", ncols=min(4, 2 * len(panels) - 1), frameon=False, fontsize=8,
     )  # fmt: skip
     return png(figure)
 
@@ -160,8 +160,8 @@ def success_within_budgets(panels: Mapping[str, Front]) -> bytes:
     grid[0].set_ylabel("lifted within the budget [%]", fontsize=9, color=GREY)
     names = [name for name in families if name in shown]
     figure.legend(
-        handles=[shown[name] for name in names], labels=names, loc="outside lower center", ncols=4,
-        frameon=False, fontsize=8,
+        handles=[shown[name] for name in names], labels=names,
+        loc="outside lower center", ncols=min(4, 2 * len(panels) - 1), frameon=False, fontsize=8,
     )  # fmt: skip
     return png(figure)
 

@@ -40,7 +40,7 @@ def touch_errors(
         pads = motion.pos[_PADS]
         jacobian = body.point_jacobians(motion, _PADS, pads)
         own = jnp.take_along_axis(jacobian, jnp.asarray(joints)[:, None, :], axis=2)
-        return contacts - pads, own
+        return jnp.asarray(contacts) - pads, own
 
     def step(q: Float[Array, " joints"], _: None) -> tuple[Float[Array, " joints"], None]:
         error, jacobian = missing(q)

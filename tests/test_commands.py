@@ -25,6 +25,7 @@ from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
+from mjx_grasp.training.after import GRIP_FRICTIONS, SQUEEZE_FORCES_N
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.config import preset_config, stored_config
 from mjx_grasp.training.job import run_training
@@ -32,6 +33,7 @@ from mjx_grasp.training.job import run_training
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
     *("--ppo.unroll", "4", "--ppo.iterations", "2", "--task.episode-s", "0.3"),
+    "--task.observation.no-budget",
 )
 
 
@@ -65,8 +67,10 @@ def test_a_training_leaves_everything_behind(trained):
     results = read_results(trained / "results.json")
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     rows = results.rows
-    assert [(r.controller, r.squeeze_force_n) for r in rows] == [
-        *(("policy", None), ("squeeze", 1.0), ("squeeze", 3.0), ("squeeze", 5.0)),
+    assert [(r.controller, r.squeeze_force_n, r.grip_friction) for r in rows] == [
+        ("policy", None, None),
+        *(("squeeze", force, None) for force in SQUEEZE_FORCES_N),
+        *(("grip", None, friction) for friction in GRIP_FRICTIONS),
     ]
     assert all(len(r.outcomes) == r.episodes == 2 for r in rows)
     assert "foam" in (trained / "report.html").read_text()

@@ -82,7 +82,10 @@ def flags(kind, prefix=""):
         if not any(walk.numbers(hint)):
             continue
         several = "tuple[" in str(hint)
-        for bad in walk.impossible(hint, value):
+        refused = list(walk.impossible(hint, value))
+        if not several and np.inf not in refused:
+            refused.remove(10**400)  # as a word it is infinity
+        for bad in refused:
             if isinstance(bad, tuple) is not several or (several and len(bad) > len(value or bad)):
                 continue
             values = bad if several else (bad,)

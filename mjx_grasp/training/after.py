@@ -25,7 +25,7 @@ from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.training.config import TrainConfig
 
-SQUEEZE_FORCES_N = (1.0, 3.0, 5.0, 8.0)
+SQUEEZE_FORCES_N = (3.0, 5.0, 8.0)
 GRIP_FRICTIONS = (0.4, 0.7)
 """μ₀ of the grips beside a policy that adds to one: each is a point of the grip's front."""
 FORCE_BUDGETS_N = (1.0, 2.0)

@@ -197,7 +197,7 @@ def command(*arguments):
 def test_the_command_writes_a_set_and_its_report(tmp_path, monkeypatch, capsys):
     out = tmp_path / "brick.npz"
     small = ["--sampling.poses-per-round", 16, "--sampling.candidates-per-pose", 3]
-    small += ["--posture.library", 3000, "--posture.starts.count", 3, "--max-rounds", 3]
+    small += ["--posture.library", 3000, "--posture.starts.count", 2, "--max-rounds", 4]
     done = command("--objects", "foam_brick", "--per-object", 6, "--seed", 2, "--out", out, *small)
     assert done.returncode == 0, done.stderr
     handoffs = load_handoffs(out, [load_object("foam_brick")])

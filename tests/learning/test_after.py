@@ -62,7 +62,7 @@ def test_fixed_fingers_and_coarse_steps_are_for_the_training_alone(
 
 
 @pytest.mark.parametrize(
-    ("untrained", "forces"), [(1.0, [1, 3, 5, 8]), (4.0, [1, 3, 4, 5, 8]), (0.0, [0, 1, 3, 5, 8])]
+    ("untrained", "forces"), [(1.0, [1, 3, 5, 8]), (5.0, [3, 5, 8]), (0.0, [0, 3, 5, 8])]
 )
 def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
     base = EvaluateConfig(out=Path("x.json"), offset_mm=2.0)
@@ -100,7 +100,7 @@ def test_a_policy_on_an_answering_grip_is_compared_with_that_grip():
     found = baselines(base, ClosingTaskConfig(grip=REACTING))
     squeezes = [c for c in found if c.controller == "squeeze"]
     grips = [c for c in found if c.controller == "grip"]
-    assert [c.squeeze_force for c in squeezes] == [1, 3, 5, 8]
+    assert [c.squeeze_force for c in squeezes] == [3, 5, 8]
     assert REACTING in [c.grip for c in grips] and len(grips) > 1
     assert {replace(c.grip, friction=REACTING.friction) for c in grips} == {REACTING}
     assert {c.mass_scale for c in found} == {2.0} and len(squeezes) + len(grips) == len(found)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjx_grasp.evaluation.front_tables import headline
+from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
@@ -210,6 +212,7 @@ def first_run(path: Path) -> str:
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
         + _before_and_after(d)
+        + "".join(f" {sentence}" for sentence in headline(read_groups([path])))
     )
 
 

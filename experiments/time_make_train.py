@@ -102,7 +102,7 @@ def write(out: Path, run: Path, durations: dict[str, float]) -> None:
     document = {
         "schema": results["schema"],
         "label": results["label"],
-        "untrained_n": results["untrained_n"],
+        **{name: results[name] for name in ("untrained_n",) if name in results},
         "make_train": durations | curve(run / "metrics.csv"),
         "rows": results["rows"],
         "provenance": results["provenance"] | {"command": command_line()},

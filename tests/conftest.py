@@ -42,6 +42,7 @@ LONGEST_FIRST = (
     "test_controller.py",
     "test_training.py",
     "test_commands.py",
+    "test_handoff_generation.py",
     "test_mjx.py",
     "test_backends.py",
 )

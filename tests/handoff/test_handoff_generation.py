@@ -194,33 +194,58 @@ def command(*arguments):
     )
 
 
-def test_the_command_writes_a_set_and_its_report(tmp_path, monkeypatch, capsys):
-    out = tmp_path / "brick.npz"
-    small = ["--sampling.poses-per-round", 16, "--sampling.candidates-per-pose", 3]
-    small += ["--posture.library", 3000, "--posture.starts.count", 2, "--max-rounds", 4]
-    done = command("--objects", "foam_brick", "--per-object", 6, "--seed", 2, "--out", out, *small)
+TYPED = (
+    *("--sampling.poses-per-round", 16, "--sampling.candidates-per-pose", 3),
+    *("--posture.library", 3000, "--posture.starts.count", 2, "--max-rounds", 4),
+)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A set as the command writes it, and what the command said."""
+    out = tmp_path_factory.mktemp("sets") / "brick.npz"
+    done = command("--objects", "foam_brick", "--per-object", 6, "--seed", 2, "--out", out, *TYPED)
     assert done.returncode == 0, done.stderr
-    handoffs = load_handoffs(out, [load_object("foam_brick")])
-    assert handoffs.counts() == {"foam_brick": 6}
+    return out, done.stdout
+
+
+def test_the_command_writes_a_set_and_its_report(written):
+    out, said = written
+    assert load_handoffs(out, [load_object("foam_brick")]).counts() == {"foam_brick": 6}
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["objects"][0]["kept"] == 6 and report["not_eligible"] == []
     assert report["config"]["posture"]["library"] == 3000
     assert report["provenance"]["seed"] == 2
-    assert "foam_brick" in done.stdout and "6 states of 1 objects" in done.stdout
+    assert "foam_brick" in said and "6 states of 1 objects" in said
 
-    more = ("--objects", "gelatin_box", "--update", out, "--per-object", 4, "--out", out)
-    done = command(*more, *small)
+
+MORE = ("--objects", "gelatin_box", "--per-object", 4)
+
+
+@pytest.mark.long
+def test_a_set_is_added_to(written, tmp_path):
+    before, _ = written
+    first = json.loads(before.with_suffix(".json").read_text())
+    out = tmp_path / "both.npz"
+    for end in (".npz", ".json"):
+        out.with_suffix(end).write_bytes(before.with_suffix(end).read_bytes())
+    done = command(*MORE, "--update", out, "--out", out, *TYPED)
     assert done.returncode == 0, done.stderr
     assert "10 states of 2 objects" in done.stdout
     updated = load_handoffs(out)
     assert updated.counts() == {"foam_brick": 6, "gelatin_box": 4}
-    np.testing.assert_array_equal(updated.select(("foam_brick",)).q, handoffs.q)
-    report_now = json.loads(out.with_suffix(".json").read_text())
-    assert [row["name"] for row in report_now["objects"]] == ["foam_brick", "gelatin_box"]
-    assert report_now["earlier"] == [report["provenance"]]
+    same = updated.select(("foam_brick",)).q
+    np.testing.assert_array_equal(same, load_handoffs(before).q)
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert [row["name"] for row in report["objects"]] == ["foam_brick", "gelatin_box"]
+    assert report["earlier"] == [first["provenance"]]
 
-    out.with_suffix(".json").unlink()
-    status, error = refusal(monkeypatch, capsys, "handoffs", *more)
+
+def test_a_set_without_its_report_is_not_added_to(written, tmp_path, monkeypatch, capsys):
+    alone = tmp_path / "brick.npz"
+    alone.write_bytes(written[0].read_bytes())
+    update = ("--update", alone, "--out", alone)
+    status, error = refusal(monkeypatch, capsys, "handoffs", *MORE, *update)
     assert status == 2 and "brick.json" in error
 
 

@@ -66,7 +66,7 @@ def runs(body):
     return cache(lambda name: _run(name, body))
 
 
-@pytest.fixture(scope="module", params=["paper", "default"])
+@pytest.fixture(scope="module", params=[pytest.param("paper", marks=pytest.mark.long), "default"])
 def run(request, runs):
     return runs(request.param)
 

@@ -125,10 +125,10 @@ class Seen(NamedTuple):
     flag: Bool[np.ndarray, "t w f"]
     gripping: Bool[np.ndarray, "t w f"]
     rising: Bool[np.ndarray, "t w"]
-    torque: Float[np.ndarray, "t w s m"]
+    torque: Float[np.ndarray, "t w s g"]
     """external torque as sensed [N m]"""
-    q: Float[np.ndarray, "t w m"]
-    qd: Float[np.ndarray, "t w m"]
+    q: Float[np.ndarray, "t w g"]
+    qd: Float[np.ndarray, "t w g"]
 
 
 def conditions_of(config: SensingConfig) -> list[Condition]:
@@ -290,7 +290,7 @@ def _run(
 
     def look(state: ClosingState) -> Seen:
         measured, true = state.measured, -state.truth.finger_force  # the sensor's is the reaction
-        jacobian = pad_jacobians(measured, at.per_finger)
+        jacobian = pad_jacobians(measured, at.grasping_per_finger)
         exact = jnp.sum(jacobian[..., :3, :] * true[..., None], axis=-2)
         free = closer.away_from_stops(measured)
         return Seen(
@@ -301,8 +301,8 @@ def _run(
             gripping=state.closer.grip_ticks > 0,
             rising=state.closer.lifting & (closer.lift_speed(state.closer) > 0),
             torque=measured.external_torque,
-            q=measured.q[:, at.fingers],
-            qd=measured.qd[:, at.fingers],
+            q=measured.q[:, at.grasping],
+            qd=measured.qd[:, at.grasping],
         )
 
     return task, *watch_trials(task, zero_controller(task), draw, look)
@@ -415,7 +415,7 @@ def _calibration(
 def _flags(task: ClosingTask, seen: Seen, config: ObserverConfig) -> Bool[Array, "t w f"]:
     """The flags that an observer of other thresholds raises on what was sensed."""
     joints, (worlds, fingers) = task.closer.joints, seen.flag.shape[1:]
-    limits = joints.limits[joints.at.fingers]
+    limits = joints.limits[joints.at.grasping]
 
     def tick(state: Any, now: tuple[Array, Array, Array]) -> tuple[Any, Array]:
         return observe(state, *now, limits, joints.dry_friction, task.control_dt, config)

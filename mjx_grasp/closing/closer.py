@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control, stages
@@ -103,7 +104,7 @@ class Closer:
             hold=measured.q[..., at.per_finger],
             residual=jnp.zeros((*batch, fingers * joints)),
             arm=measured.q[..., at.arm],
-            observer=initial_observer(batch, fingers * joints, fingers),
+            observer=initial_observer(batch, len(at.grasping), fingers),
             observed=none,
             level=jnp.full(batch, self.config.grip.force),
             landed=none,
@@ -146,9 +147,9 @@ class Closer:
         observer, observed = observe(
             state.observer,
             measured.external_torque,
-            measured.q[..., at.fingers],
-            measured.qd[..., at.fingers],
-            joints.limits[at.fingers],
+            measured.q[..., at.grasping],
+            measured.qd[..., at.grasping],
+            joints.limits[at.grasping],
             joints.dry_friction,
             config.control_dt,
             config.observer,
@@ -233,20 +234,20 @@ class Closer:
         With `sticking` the dry friction of moving joints is known and left out; that of joints at
         rest may have either sign and stays in the estimate.
         """
-        at, config, free = self.joints.at, self.config, self.away_from_stops(measured)
+        at, config, felt = self.joints.at, self.config.forces, self.away_from_stops(measured)
         torque = state.observer.torque
-        if config.forces.sticking is not None:
-            speed = measured.qd[..., at.fingers] / config.forces.sticking
+        if config.sticking is not None:
+            speed = measured.qd[..., at.grasping] / config.sticking
             torque = torque + self.joints.dry_friction * jnp.tanh(speed)
-        torque = torque.reshape(free.shape)
-        return tip_forces(
-            torque, control.pad_jacobians(measured, at.per_finger), free, config.forces
-        )
+        if config.joints == "moved":
+            felt &= jnp.asarray(np.isin(at.grasping_per_finger, at.fingers))
+        jacobian = control.pad_jacobians(measured, at.grasping_per_finger)
+        return tip_forces(torque.reshape(felt.shape), jacobian, felt, config)
 
-    def away_from_stops(self, measured: Measured) -> Bool[Array, "*b f j"]:
+    def away_from_stops(self, measured: Measured) -> Bool[Array, "*b f k"]:
         """Which finger joints are so far from their stops that their torque is a contact's."""
-        at, margin = self.joints.at, self.config.observer.stop_margin
-        q, limits = measured.q[..., at.per_finger], self.joints.limits[at.per_finger]
+        every, margin = self.joints.at.grasping_per_finger, self.config.observer.stop_margin
+        q, limits = measured.q[..., every], self.joints.limits[every]
         return (q > limits[..., 0] + margin) & (q < limits[..., 1] - margin)
 
     def load(

@@ -92,6 +92,9 @@ REACTING = GripConfig(force=2.5, split="balanced", direction="line", follow=0.05
 class ForceConfig(Settings):
     """Fingertip forces from the observer's joint torques."""
 
+    joints: Literal["all", "moved"] = "all"
+    """whose torques are felt: those of all joints of a finger, or of those alone that close it,
+    which may be parallel and then do not feel what goes along their axes"""
     damping: Positive = 0.01
     """λ: lever below which a joint's torque says little of the force [m]"""
     most: Positive = 40.0

@@ -13,7 +13,7 @@ from mjx_grasp.geometry.linear import solve_spd
 def tip_forces(
     torque: Float[Array, "*b f j"],
     jacobian: Float[Array, "*b f 6 j"],
-    free: Bool[Array, "*b f j"],
+    felt: Bool[Array, "*b f j"],
     config: ForceConfig,
 ) -> Float[Array, "*b f 3"]:
     """Force of the object on each pad, f̂ = J⁻ᵀ τ̂ [N], world frame.
@@ -25,11 +25,11 @@ def tip_forces(
     Args:
         torque: τ̂, external torque on each finger's joints [N m].
         jacobian: Of the pads for these joints.
-        free: Which joints are away from their stops.
+        felt: Which joints have a torque sensor and are away from their stops.
         config: λ and bound.
     """
     linear = jacobian[..., :3, :]
-    weighted = linear * free[..., None, :]
+    weighted = linear * felt[..., None, :]
     normal = jnp.sum(weighted[..., :, None, :] * linear[..., None, :, :], axis=-1)
     normal = normal + config.damping**2 * jnp.eye(3)
     force = solve_spd(normal, jnp.sum(weighted * torque[..., None, :], axis=-1))

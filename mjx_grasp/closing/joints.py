@@ -20,21 +20,21 @@ class DrivenJoints(NamedTuple):
     """position limits of all joints [rad]"""
     stiffness: Float[np.ndarray, " m"]
     """position gain of the policy's finger joints [N m/rad]"""
-    dry_friction: Float[np.ndarray, " m"]
-    """of the same joints [N m]"""
-    damping: Float[np.ndarray, " m"]
+    dry_friction: Float[np.ndarray, " g"]
+    """of all joints of the three fingers, finger by finger [N m]"""
+    damping: Float[np.ndarray, " g"]
     """of the same joints [N m s/rad]"""
 
 
 def driven_joints(robot: RobotSpec) -> DrivenJoints:
     """Reads the constants off the robot's compiled MJCF."""
     model, at = robot_mjspec(robot).compile(), robot_indices(robot)
-    names = [robot.joints[i] for i in at.fingers]
-    dofs = [model.joint(name).dofadr[0] for name in names]
+    moved = [robot.joints[i] for i in at.fingers]
+    dofs = [model.joint(robot.joints[i]).dofadr[0] for i in at.grasping]
     return DrivenJoints(
         at=at,
         limits=np.array([model.joint(n).range for n in robot.joints], np.float32),
-        stiffness=np.array([model.actuator(n).gainprm[0] for n in names], np.float32),
+        stiffness=np.array([model.actuator(n).gainprm[0] for n in moved], np.float32),
         dry_friction=model.dof_frictionloss[dofs].astype(np.float32),
         damping=model.dof_damping[dofs].astype(np.float32),
     )

@@ -14,8 +14,8 @@ from mjx_grasp.closing.config import ObserverConfig
 class ObserverState(NamedTuple):
     """Estimated external torques and how long each finger has looked like touching."""
 
-    torque: Float[Array, "*b m"]
-    """τ̂ of the policy's joints [N m]."""
+    torque: Float[Array, "*b g"]
+    """τ̂ of the fingers' joints, finger by finger [N m]."""
     ticks: Int[Array, "*b f"]
 
 
@@ -26,11 +26,11 @@ def initial_observer(batch: tuple[int, ...], joints: int, fingers: int) -> Obser
 
 def observe(
     state: ObserverState,
-    residual: Float[Array, "*b s m"],
-    q: Float[Array, "*b m"],
-    qd: Float[Array, "*b m"],
-    limits: Float[np.ndarray, "m 2"],
-    dry_friction: Float[np.ndarray, " m"],
+    residual: Float[Array, "*b s g"],
+    q: Float[Array, "*b g"],
+    qd: Float[Array, "*b g"],
+    limits: Float[np.ndarray, "g 2"],
+    dry_friction: Float[np.ndarray, " g"],
     dt: float,
     config: ObserverConfig,
 ) -> tuple[ObserverState, Bool[Array, "*b f"]]:
@@ -43,8 +43,8 @@ def observe(
     Args:
         state: The observer.
         residual: τ_ext, `Measured.external_torque` [N m].
-        q: Policy joint positions [rad].
-        qd: Policy joint velocities [rad/s].
+        q: Positions of these joints [rad].
+        qd: Their velocities [rad/s].
         limits: Their ranges [rad].
         dry_friction: Their friction losses [N m].
         dt: Control period [s].
@@ -58,7 +58,7 @@ def observe(
     beyond = jnp.where(free, jnp.maximum(jnp.abs(torque) - dry_friction, 0.0), 0.0)
     fingers = state.ticks.shape[-1]
 
-    def largest(x: Float[Array, "*b m"]) -> Float[Array, "*b f"]:
+    def largest(x: Float[Array, "*b g"]) -> Float[Array, "*b f"]:
         return jnp.max(x.reshape(*x.shape[:-1], fingers, -1), axis=-1)
 
     touching = (largest(jnp.abs(qd)) < config.stall_speed) & (

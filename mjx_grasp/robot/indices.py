@@ -33,6 +33,15 @@ class RobotIndices:
         return np.concatenate(self.finger_joints)
 
     @property
+    def grasping_per_finger(self) -> Int[np.ndarray, "f k"]:
+        """The same, a row for each finger.
+
+        Raises:
+            InputError: The fingers have different numbers of joints.
+        """
+        return _stacked("hand.fingers.joints", self.finger_joints)
+
+    @property
     def fingers(self) -> Int[np.ndarray, " m"]:
         """The policy's finger joints, finger by finger."""
         return np.concatenate(self.finger_policy)

@@ -22,9 +22,9 @@ class Measured(NamedTuple):
     """joint positions [rad]"""
     qd: Float[Array, "*w n"]
     """joint velocities [rad/s]"""
-    external_torque: Float[Array, "*w s m"]
-    """torque on the policy's finger joints that the robot's own model does not explain, at s
-    equally spaced times of the last control period [N m]"""
+    external_torque: Float[Array, "*w s g"]
+    """torque on the three fingers' joints, finger by finger, that the robot's own model does not
+    explain, at s equally spaced times of the last control period [N m]"""
     palm_pos: Float[Array, "*w 3"]
     """palm site [m]"""
     palm_mat: Float[Array, "*w 3 3"]
@@ -80,7 +80,7 @@ def measured_from_joints(
     kinematics: Kinematics,
     q: Float[Array, " n"],
     qd: Float[Array, " n"],
-    external_torque: Float[Array, "s m"],
+    external_torque: Float[Array, "s g"],
 ) -> Measured:
     """All of `Measured` from what a driver reads: joints and torques.
 

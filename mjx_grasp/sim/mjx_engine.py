@@ -15,8 +15,8 @@ from mjx_grasp.sim.physics import (
     Truth,
     WorldParams,
     check_control_rate,
+    finger_rows,
     inverse_dynamics_residual,
-    policy_rows,
 )
 from mjx_grasp.sim.scene import ObjectFields, Scene
 
@@ -50,7 +50,7 @@ class MjxPhysics:
         quiet = {"opt._impl.warn_overflow": 0}
         self._model = mjx.put_model(scene.model, impl="warp").tree_replace(quiet)
         self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
-        self._rows = policy_rows(scene)
+        self._rows = finger_rows(scene)
         names = (*ObjectFields.NAMES, "geom_friction")
         self._axes = jax.tree.map(lambda _: None, self._model).tree_replace(dict.fromkeys(names, 0))
         at = scene.addresses

@@ -22,8 +22,8 @@ from mjx_grasp.sim.physics import (
     Truth,
     WorldParams,
     check_control_rate,
+    finger_rows,
     inverse_dynamics_residual,
-    policy_rows,
 )
 from mjx_grasp.sim.scene import Scene, build_scene
 
@@ -62,7 +62,7 @@ class NativePhysics:
             [_World(copy.copy(s.model), s, self.substeps) for s in singles]
             for _ in range(self._threads)
         ]
-        self._rows = policy_rows(scene)
+        self._rows = finger_rows(scene)
         self._readings = _reading_shapes(scene, self.substeps)
 
     def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> NativeState:
@@ -151,7 +151,7 @@ def at_rest(scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int) -> tup
     model, at = scene.model, scene.addresses
     data = mujoco.MjData(model)
     n, f, joints = len(qpos), len(at.pad_sites), model.dof_jntid[at.robot_dof]
-    policy_joints = sum(len(finger.policy_joints) for finger in scene.robot.hand.fingers)
+    sensed = sum(len(finger.joints) for finger in scene.robot.hand.fingers)
     rows: dict[str, list[np.ndarray]] = {
         k: [] for k in ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
     }
@@ -167,7 +167,7 @@ def at_rest(scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int) -> tup
     measured = Measured(
         q=jnp.asarray(qpos[:, at.robot_qpos], jnp.float32),
         qd=jnp.zeros((n, len(at.robot_dof)), jnp.float32),
-        external_torque=jnp.zeros((n, substeps, policy_joints), jnp.float32),
+        external_torque=jnp.zeros((n, substeps, sensed), jnp.float32),
         **{k: jnp.asarray(np.asarray(v, np.float32)) for k, v in rows.items()},
     )
     truth = Truth(
@@ -192,7 +192,7 @@ class _World:
         self._model, self._data = model, mujoco.MjData(model)
         self._at, self._substeps = scene.addresses, substeps
         # A body whose inertia is diagonal has a shorter M, so addresses differ between objects.
-        self._mass_address = policy_rows(scene).address
+        self._mass_address = finger_rows(scene).address
         self._pristine = copy.copy(model)
         self._settings = (float(model.geom_friction[self._at.object_geoms[0], 0]), 1.0)
 
@@ -270,7 +270,7 @@ def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, .
         "tip_force": (f, 3),
         "finger_force": (f, 3),
         "delta_v": (substeps, m.nv),
-        "mass": (substeps, *policy_rows(scene).address.shape),
+        "mass": (substeps, *finger_rows(scene).address.shape),
         "bias": (substeps, m.nv),
         "applied": (substeps, m.nv),
     }

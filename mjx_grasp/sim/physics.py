@@ -98,8 +98,8 @@ class Physics(Protocol):
         ...
 
 
-class PolicyRows(NamedTuple):
-    """The policy joints' rows of the symmetric mass matrix, as gathers from MuJoCo's M.
+class FingerRows(NamedTuple):
+    """The grasping fingers' rows of the symmetric mass matrix, as gathers from MuJoCo's M.
 
     M holds the lower triangle; a row of the whole matrix takes its own entries and those of its
     descendants' rows. Rows are padded with entries of weight 0.
@@ -112,15 +112,15 @@ class PolicyRows(NamedTuple):
     damping: np.ndarray  # [m] joint damping + actuator velocity gain [N m s/rad]
 
 
-def policy_dofs(scene: Scene) -> np.ndarray:
-    """Degrees of freedom of the fingers' policy joints, finger by finger, [m]."""
-    return scene.addresses.robot_dof[robot_indices(scene.robot).fingers]
+def finger_dofs(scene: Scene) -> np.ndarray:
+    """Degrees of freedom of the three fingers' joints, finger by finger, [m]."""
+    return scene.addresses.robot_dof[robot_indices(scene.robot).grasping]
 
 
-def policy_rows(scene: Scene) -> PolicyRows:
+def finger_rows(scene: Scene) -> FingerRows:
     """Builds the gathers of `inverse_dynamics_residual` from the compiled model."""
     m = scene.model
-    dofs = policy_dofs(scene)
+    dofs = finger_dofs(scene)
     rows: dict[int, list[tuple[int, int]]] = {int(d): [] for d in dofs}
     for i in range(m.nv):
         start = m.M_rowadr[i]
@@ -140,24 +140,24 @@ def policy_rows(scene: Scene) -> PolicyRows:
             address[r, k], column[r, k], weight[r, k] = adr, col, 1.0
         actuator = next(a for a in range(m.nu) if m.actuator_trnid[a, 0] == m.dof_jntid[d])
         damping[r] = m.dof_damping[d] - m.actuator_biasprm[actuator, 2]
-    return PolicyRows(dofs, address, column, weight, damping)
+    return FingerRows(dofs, address, column, weight, damping)
 
 
 def inverse_dynamics_residual(
-    rows: PolicyRows,
+    rows: FingerRows,
     mass: Float[Array, "*w m k"],
     delta_v: Float[Array, "*w nv"],
     bias: Float[Array, "*w nv"],
     applied: Float[Array, "*w nv"],
     dt: float,
 ) -> Float[Array, "*w m"]:
-    """Torque on the policy joints that the model does not explain: contacts, stops, dry friction.
+    """Torque on the fingers' joints that the model does not explain: contacts, stops, dry friction.
 
     M Δv/dt + c − τ [N m], the forcing of the momentum observer (method §5), with τ taken at the
     end of the step: MuJoCo's implicit integrator applies damping at the new velocity.
 
     Args:
-        rows: From `policy_rows`.
+        rows: From `finger_rows`.
         mass: MuJoCo's M at `rows.address`, at the start of the physics step.
         delta_v: Change of velocity over the step [rad/s].
         bias: qfrc_bias at the start of the step.

@@ -80,7 +80,7 @@ def as_sensed(
     """
     if not errors.of_torque:
         return measured
-    torque, qd = measured.external_torque, measured.qd[:, joints.at.fingers]
+    torque, qd = measured.external_torque, measured.qd[:, joints.at.grasping]
     if errors.friction:
         friction = joints.dry_friction * jnp.tanh(qd / _STICKING) + joints.damping * qd
         torque = torque + (draw.friction[:, None] * friction)[:, None]

@@ -20,6 +20,7 @@ from mjx_grasp.closing.config import (
     LiftConfig,
     StageConfig,
 )
+from mjx_grasp.closing.control import pad_jacobians
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.sim.physics import make_params
 from mjx_grasp.tasks.closing import ClosingTask
@@ -318,7 +319,7 @@ def test_dry_friction_of_moving_joints_is_no_force_where_it_is_known(robot, star
     measured, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
     state, at = closer.start(measured, targets), closer.joints.at
     for way in (1.0, -1.0):
-        moving = measured._replace(qd=measured.qd.at[at.fingers].set(0.5 * way))
+        moving = measured._replace(qd=measured.qd.at[at.grasping].set(0.5 * way))
         against = state.observer._replace(torque=-way * jnp.asarray(closer.joints.dry_friction))
         felt = closer.forces(state._replace(observer=against), moving)
         np.testing.assert_allclose(felt, 0.0, atol=1e-3)
@@ -328,6 +329,23 @@ def test_dry_friction_of_moving_joints_is_no_force_where_it_is_known(robot, star
         assert (jnp.linalg.norm(closer.forces(state, measured), axis=-1) < 1e-3).all()
         still = closer.forces(state._replace(observer=against), measured)
         assert (jnp.linalg.norm(still, axis=-1) > 0.05).all()
+
+
+def test_every_joint_of_a_finger_feels_what_parallel_ones_cannot(robot, starts, feel):
+    """Joints that close along parallel axes feel nothing along these; the one that holds does."""
+    measured, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
+    knowing = Closer.of(robot, CloserConfig(forces=ForceConfig(damping=1e-4)))
+    middle = jnp.asarray(knowing.joints.limits.mean(axis=1))  # away from every stop
+    measured = feel(middle, jnp.zeros_like(middle), measured.external_torque)
+    state, at = knowing.start(measured, targets), knowing.joints.at
+    finger = 1  # the index
+    along = measured.joint_axis[at.per_finger[finger][0]]
+    jacobian = pad_jacobians(measured, at.grasping_per_finger)[finger]
+    torque = jnp.zeros(at.grasping_per_finger.shape).at[finger].set(2.0 * along @ jacobian[:3])
+    pressed = state._replace(observer=state.observer._replace(torque=torque.ravel()))
+    np.testing.assert_allclose(knowing.forces(pressed, measured)[finger], 2.0 * along, atol=0.02)
+    some = Closer.of(robot, CloserConfig(forces=ForceConfig(joints="moved")))
+    assert jnp.linalg.norm(some.forces(pressed, measured)[finger]) < 0.1
 
 
 def test_joints_that_closing_does_not_move_never_move(walk, ran, at):

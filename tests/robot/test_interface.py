@@ -38,7 +38,7 @@ def measured(any_robot, postures):
     """All postures at once, with velocities and torques that mean nothing."""
     kinematics = measuring_kinematics(any_robot)
     rng = np.random.default_rng(1)
-    torque = rng.normal(size=(POSTURES, 5, len(any_robot.hand.policy_joints)))
+    torque = rng.normal(size=(POSTURES, 5, len(robot_indices(any_robot).grasping)))
     qd = jnp.asarray(rng.normal(size=postures.shape), jnp.float32)
     every = jax.jit(jax.vmap(lambda *read: measured_from_joints(kinematics, *read)))
     return jax.device_get(every(jnp.asarray(postures), qd, jnp.asarray(torque, jnp.float32)))
@@ -67,7 +67,7 @@ def test_joints_are_passed_on_as_they_were_read(any_robot, measured, postures):
     n, f = len(any_robot.joints), len(any_robot.hand.fingers)
     shapes = {name: x.shape[1:] for name, x in measured._asdict().items()}
     assert shapes == {
-        **dict(q=(n,), qd=(n,), external_torque=(5, len(any_robot.hand.policy_joints))),
+        **dict(q=(n,), qd=(n,), external_torque=(5, len(robot_indices(any_robot).grasping))),
         **dict(palm_pos=(3,), palm_mat=(3, 3), pad_pos=(f, 3), pad_mat=(f, 3, 3)),
         **dict(joint_axis=(n, 3), joint_anchor=(n, 3)),
     }

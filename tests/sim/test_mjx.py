@@ -10,7 +10,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.sim import mjx_engine
 from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.sim.physics import make_params, policy_dofs
+from mjx_grasp.sim.physics import finger_dofs, make_params
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
@@ -126,7 +126,7 @@ def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
     state, seen = rest, 0.0
     for tick in range(150):
         state, measured, _ = step(state, params, ramp(scene, starts, tick / 3))
-        expected = np.asarray(state.qfrc_constraint)[:, policy_dofs(scene)]
+        expected = np.asarray(state.qfrc_constraint)[:, finger_dofs(scene)]
         np.testing.assert_allclose(measured.external_torque[:, 0], expected, atol=3e-3)
         seen = max(seen, np.abs(expected).max())
     assert seen > 0.05
@@ -141,7 +141,7 @@ def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
     data.qpos[:] = state.qpos[2]
     mujoco.mj_forward(scene.model, data)
     mujoco.mj_jac(scene.model, data, jac, None, data.xipos[tip], tip)
-    expected = (jac.T @ [0, 1.5, 0])[policy_dofs(scene)]
+    expected = (jac.T @ [0, 1.5, 0])[finger_dofs(scene)]
     difference = np.asarray(loaded.external_torque - free.external_torque)[2, 0]
     assert np.abs(expected).max() > 0.05
     # Dry friction, 0.01 N m, may turn from one side to the other.

@@ -13,10 +13,10 @@ from mjx_grasp.sim import scene as scene_module
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import (
     check_control_rate,
+    finger_dofs,
+    finger_rows,
     inverse_dynamics_residual,
     make_params,
-    policy_dofs,
-    policy_rows,
 )
 from mjx_grasp.sim.scene import SceneConfig, build_scene
 
@@ -107,7 +107,7 @@ def test_worlds_follow_plain_mujoco(scene, starts, native, robot, handmade_objec
         assert truth.constraints[w] == data.nefc
         # The inverse-dynamics residual is what the constraints did to the policy's joints.
         np.testing.assert_allclose(
-            measured.external_torque[w], constraint[:, policy_dofs(single)], atol=2e-3
+            measured.external_torque[w], constraint[:, finger_dofs(single)], atol=2e-3
         )
 
 
@@ -206,14 +206,14 @@ def test_world_that_is_no_number_is_not_passed_off_as_a_sound_one(starts, native
     np.testing.assert_array_equal(native.step(state, params, starts.ctrl[ROWS])[1].q, expected.q)
 
 
-def test_policy_rows_are_rows_of_the_full_mass_matrix(scene, starts):
+def test_finger_rows_are_rows_of_the_full_mass_matrix(scene, starts):
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = starts.qpos[0]
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    rows = policy_rows(scene)
-    np.testing.assert_array_equal(rows.dof, policy_dofs(scene))
+    rows = finger_rows(scene)
+    np.testing.assert_array_equal(rows.dof, finger_dofs(scene))
     found = np.zeros((len(rows.dof), model.nv))
     values = data.M[rows.address] * rows.weight
     for r in range(len(rows.dof)):
@@ -230,7 +230,7 @@ def test_residual_sees_an_applied_force_and_nothing_else(scene, starts, robot):
     model.jnt_limited[:] = 0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data.qpos[:], data.ctrl[:] = starts.qpos[0], starts.ctrl[0]
-    rows = policy_rows(single)
+    rows = finger_rows(single)
     tip = model.body(robot.hand.fingers[1].tip_body).id
     force, free, loaded = np.array([0.3, -1.5, 0.4]), [], []
     jac = np.zeros((3, model.nv))

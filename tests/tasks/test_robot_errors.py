@@ -97,7 +97,7 @@ def test_torques_are_quantised_and_friction_is_mistaken(joints, measured):
     worse = robots(friction=jnp.full(WORLDS, 0.3))
     off = as_sensed(measured, worse, tick, joints, RobotErrors(friction=0.3))
     error = np.asarray(off.external_torque - measured.external_torque)
-    qd = np.asarray(measured.qd)[:, joints.at.fingers]
+    qd = np.asarray(measured.qd)[:, joints.at.grasping]
     fast = np.abs(qd) > 0.2
     expected = 0.3 * (joints.dry_friction * np.sign(qd) + joints.damping * qd)
     np.testing.assert_allclose(error[:, 0][fast], expected[fast], atol=1e-5)

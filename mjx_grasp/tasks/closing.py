@@ -162,7 +162,10 @@ class ClosingTask:
         sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
         before = state.episode._replace(sent=sent)
         episode, slip = self._followed(before, closer, sensed, measured, truth, action)
-        moment = self._moment(closer, measured, truth, targets, slip, action, state.episode)
+        lift_force = _lift_force(episode, sensed)
+        moment = self._moment(
+            closer, measured, truth, targets, slip, lift_force, action, state.episode
+        )
         rewards = {
             term.name: jnp.where(finite, term.weight * term.value(moment), 0.0)
             for term in self.terms
@@ -178,7 +181,7 @@ class ClosingTask:
             success=episode.progress.success,
             **failure_classes(episode.progress),
             lifting=closer.lifting,
-            force_mean=episode.force_sum / (closer.lift_tick + 1),  # the onset's own tick counts
+            force_mean=_lift_force(episode, closer),
             force_peak=episode.force_peak,
             force_held=episode.held_force_sum / episode.held_ticks,  # 0 / 0 is nan: none
             peak_rise=episode.progress.peak_rise,
@@ -206,6 +209,7 @@ class ClosingTask:
         truth: Truth,
         targets: ThreePoints,
         slip: Float[Array, " w"],
+        lift_force: Float[Array, " w"],
         action: Float[Array, "w k"],
         before: Episode,
     ) -> Moment:
@@ -221,6 +225,7 @@ class ClosingTask:
             palm_velocity=jnp.sum(palm[:, :3] * measured.qd[:, None, at.arm], axis=-1),
             lift_speed=self.closer.lift_speed(closer),
             slip=slip,
+            lift_force=lift_force,
             budget=before.budget,
             action=action,
             last_action=before.action,
@@ -338,6 +343,11 @@ class ClosingTask:
             held_ticks=jnp.zeros(w, jnp.int32),
         )
         return draw_params(starts, draw), measured, truth, closer, episode
+
+
+def _lift_force(episode: Episode, closer: CloserState) -> Float[Array, " w"]:
+    """Mean force per finger since lift onset, 0 before [N]."""
+    return episode.force_sum / (closer.lift_tick + 1)  # the onset's own tick counts
 
 
 def _in_palm(measured: Measured, truth: Truth) -> Float[Array, "w 3"]:

@@ -57,7 +57,7 @@ class RewardConfig(Settings):
     force: Finite = 0.0
     """times the mean finger force in the lift [1/N]"""
     over_budget: Finite = 0.0
-    """times the mean finger force in the lift beyond the force budget [1/N]"""
+    """times the mean finger force since lift onset beyond the force budget [1/N]"""
     hard: Finite = 0.0
     """times the largest force on a finger beyond twice the budget, at any time [1/N]"""
 

@@ -37,8 +37,10 @@ class Moment(NamedTuple):
     """of the scripted lift [m/s]"""
     slip: Float[Array, "*b"]
     """palm-frame displacement of the object since lift onset [m]"""
+    lift_force: Float[Array, "*b"]
+    """mean force per finger since lift onset, 0 before [N]"""
     budget: Float[Array, "*b"]
-    """that the mean force per finger may be [N]"""
+    """that this mean may be [N]"""
     action: Float[Array, "*b k"]
     last_action: Float[Array, "*b k"]
     before_last: Float[Array, "*b k"]
@@ -128,9 +130,12 @@ def mean_force(moment: Moment) -> Float[Array, "*b"]:
 
 
 def over_budget(moment: Moment) -> Float[Array, "*b"]:
-    """The same beyond the budget in the lift, as far as `_MOST_EXCESS_N` [N]."""
-    excess = jnp.clip(mean_force(moment) - moment.budget, 0.0, _MOST_EXCESS_N)
-    return jnp.where(moment.lifting, excess, 0.0)
+    """The mean force since lift onset beyond its budget, as far as `_MOST_EXCESS_N` [N].
+
+    The mean over the time so far is what a budget is for: a short pull costs nothing if the grip is
+    gentle before it.
+    """
+    return jnp.clip(moment.lift_force - moment.budget, 0.0, _MOST_EXCESS_N)
 
 
 def hard(moment: Moment) -> Float[Array, "*b"]:

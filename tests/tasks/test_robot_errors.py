@@ -160,3 +160,19 @@ def test_a_tight_budget_costs_and_a_wide_one_does_not(scene, starts):
     np.testing.assert_allclose(tick.rewards["over_budget"], [-0.5, 0.0], atol=1e-5)
     np.testing.assert_allclose(tick.rewards["force"], -0.4, atol=1e-5)
     np.testing.assert_allclose(tick.rewards["held"], 1.0, atol=1e-5)
+
+
+def test_the_budget_is_one_of_the_mean_force_since_lift_onset(scene, starts):
+    config = ClosingTaskConfig(reward=RewardConfig(over_budget=-1.0))
+    script = still(starts, [0], 6)
+    script.truth.tip_found[:] = True
+    script.truth.finger_force[..., 2] = np.array([5.0, 5.0, 5.0, 1.0, 1.0, 1.0])[:, None, None]
+    task = ClosingTask(ScriptedPhysics(scene, script), starts, config)
+    state, _ = task.start(draw_of([0])._replace(budget=jnp.array([3.0])))
+    prices, means = [], []
+    for _ in range(5):
+        state, tick = task.tick(state, jnp.zeros((1, 15)))
+        prices.append(float(tick.rewards["over_budget"][0]))
+        means.append(float(task.summary(state).force_mean[0]))
+    np.testing.assert_allclose(prices, -np.maximum(np.array(means) - 3.0, 0.0), atol=1e-5)
+    assert max(means) > 3.0 > means[-1]  # dear at first, and paid back by gentleness

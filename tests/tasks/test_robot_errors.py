@@ -166,7 +166,7 @@ def test_the_budget_is_one_of_the_mean_force_since_lift_onset(scene, starts):
     config = ClosingTaskConfig(reward=RewardConfig(over_budget=-1.0))
     script = still(starts, [0], 6)
     script.truth.tip_found[:] = True
-    script.truth.finger_force[..., 2] = np.array([5.0, 5.0, 5.0, 1.0, 1.0, 1.0])[:, None, None]
+    script.truth.finger_force[..., 2] = np.array([5.0, 5.0, 1.0, 1.0, 1.0, 1.0])[:, None, None]
     task = ClosingTask(ScriptedPhysics(scene, script), starts, config)
     state, _ = task.start(draw_of([0])._replace(budget=jnp.array([3.0])))
     prices, means = [], []

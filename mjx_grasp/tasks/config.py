@@ -59,7 +59,9 @@ class RewardConfig(Settings):
     over_budget: Finite = 0.0
     """times the mean finger force since lift onset beyond the force budget [1/N]"""
     hard: Finite = 0.0
-    """times the largest force on a finger beyond twice the budget, at any time [1/N]"""
+    """times the largest force on a finger beyond `hard_from`, at any time [1/N]"""
+    hard_from: NonNegative = 8.0
+    """force on one finger that counts as hard [N]"""
 
 
 @dataclass(frozen=True)

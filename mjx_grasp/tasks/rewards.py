@@ -68,7 +68,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
-        RewardTerm("hard", config.hard, hard),
+        RewardTerm("hard", config.hard, lambda m: hard(m, config)),
     )
     return (*published, *(term for term in gentle if term.weight))
 
@@ -138,10 +138,7 @@ def over_budget(moment: Moment) -> Float[Array, "*b"]:
     return jnp.clip(moment.lift_force - moment.budget, 0.0, _MOST_EXCESS_N)
 
 
-def hard(moment: Moment) -> Float[Array, "*b"]:
-    """The largest force on a finger beyond twice the budget, as far as `_MOST_EXCESS_N` [N].
-
-    Twice, for of a balanced grip the thumb bears half as much again as the mean.
-    """
+def hard(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
+    """The largest force on a finger beyond `hard_from`, as far as `_MOST_EXCESS_N` [N]."""
     most = jnp.max(finger_forces(moment), axis=-1)
-    return jnp.clip(most - 2.0 * moment.budget, 0.0, _MOST_EXCESS_N)
+    return jnp.clip(most - config.hard_from, 0.0, _MOST_EXCESS_N)

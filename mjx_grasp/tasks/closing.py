@@ -15,12 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control
 from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.closing.learned import first_stack, observation, observed_step, pushed
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
-from mjx_grasp.tasks.observation import felt, privileged, proprioception
+from mjx_grasp.tasks.observation import privileged
 from mjx_grasp.tasks.rewards import Moment, RewardTerm, closing_terms
 from mjx_grasp.tasks.robot_errors import RobotDraw, arriving, as_sensed, longest_delay
 from mjx_grasp.tasks.starts import (
@@ -248,7 +249,7 @@ class ClosingTask:
         episode = before._replace(
             action=action,
             last_action=before.action,
-            stack=jnp.concatenate([before.stack[:, 1:], step[:, None]], axis=1),
+            stack=pushed(before.stack, step),
             object_in_palm=reference,
             progress=update_progress(
                 before.progress, rise, slip, self.config.success, self.config.control_dt
@@ -264,19 +265,12 @@ class ClosingTask:
         self, closer: CloserState, measured: Measured, targets: ThreePoints, action: Array
     ) -> Float[Array, "w d"]:
         """The observation of one tick."""
-        at = self.closer.joints.at.fingers
-        step = proprioception(measured.q[:, at], measured.qd[:, at], action)
-        if not self.config.observation.forces:
-            return step
-        load = self.closer.load(closer, measured, targets)
-        return jnp.concatenate([step, felt(*load, closer.level)], axis=-1)
+        seen = self.config.observation
+        return observed_step(self.closer, closer, measured, targets, action, seen)
 
     def _observe(self, state: ClosingState) -> Observations:
-        episode, closer, config = state.episode, state.closer, self.config.observation
-        seen = [episode.stack[:, -1 - ago] for ago in reversed(config.ticks_ago)]
-        if config.budget:
-            seen.append(episode.budget[:, None] / 5.0)
-        proprio = jnp.concatenate(seen, axis=-1)
+        episode, closer = state.episode, state.closer
+        proprio = observation(episode.stack, episode.budget, self.config.observation)
         if not self._with_privileged:
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
@@ -325,7 +319,7 @@ class ClosingTask:
             row=draw.row,
             action=action,
             last_action=action,
-            stack=jnp.repeat(first[:, None], self.config.observation.ticks_ago[-1] + 1, axis=1),
+            stack=first_stack(first, self.config.observation),
             budget=draw.budget,
             robot=draw.robot,
             sent=(measured.q,) * delay,

@@ -32,7 +32,13 @@ from mjx_grasp.tasks.starts import (
     draw_starts,
     placed_object,
 )
-from mjx_grasp.tasks.success import Progress, failure_classes, initial_progress, update_progress
+from mjx_grasp.tasks.success import (
+    Progress,
+    failure_classes,
+    in_palm,
+    initial_progress,
+    update_progress,
+)
 from mjx_grasp.tasks.task import EpisodeSummary, Observations, TaskTick
 
 
@@ -238,9 +244,9 @@ class ClosingTask:
         action: Float[Array, "w k"],
     ) -> tuple[Episode, Float[Array, " w"]]:
         """What came of the tick, and how far the object has slipped in the palm [m]."""
-        in_palm = _in_palm(measured, truth)
-        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, in_palm)
-        slip = jnp.where(sensed.lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
+        here = in_palm(measured, truth)
+        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, here)
+        slip = jnp.where(sensed.lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
         rise = truth.object_pos[:, 2] - before.reset_height
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
@@ -285,7 +291,7 @@ class ClosingTask:
                 closer.tick / ticks,
                 closer.lift_tick / ticks,
                 (truth.object_pos[:, 2] - episode.reset_height) * 10.0,
-                jnp.linalg.norm(_in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
+                jnp.linalg.norm(in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
                 state.params.friction,
                 state.params.mass_scale,
                 *((closer.level * 0.2, episode.budget * 0.2) if self._feels else ()),
@@ -324,7 +330,7 @@ class ClosingTask:
             robot=draw.robot,
             sent=(measured.q,) * delay,
             reset_height=truth.object_pos[:, 2],
-            object_in_palm=_in_palm(measured, truth),
+            object_in_palm=in_palm(measured, truth),
             progress=initial_progress((w,)),
             force_sum=zeros,
             force_peak=zeros,
@@ -332,12 +338,6 @@ class ClosingTask:
             held_ticks=jnp.zeros(w, jnp.int32),
         )
         return draw_params(starts, draw), measured, truth, closer, episode
-
-
-def _in_palm(measured: Measured, truth: Truth) -> Float[Array, "w 3"]:
-    """Object origin in the palm frame [m]."""
-    offset = truth.object_pos - measured.palm_pos
-    return jnp.sum(measured.palm_mat * offset[..., :, None], axis=-2)
 
 
 _OFF_THE_TABLE_M = 0.01

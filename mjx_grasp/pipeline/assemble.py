@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -23,6 +25,19 @@ from mjx_grasp.robot.spec import RobotSpec
 
 CANDIDATES = 256
 """Of a heatmap, the best, among which reaching chooses."""
+_GRAVITY = 9.81  # m/s²
+
+
+def whole_grasps(preset: str = "default") -> ReachPreset:
+    """A preset of reaching that also looks ahead to what follows it, where it plans at all.
+
+    Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
+    last, by the same bounds as in the making of start states.
+    """
+    settings = reach_preset(preset)
+    if settings.plan is None:
+        return settings
+    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.022))
 
 
 def grasper_of(
@@ -39,13 +54,13 @@ def grasper_of(
         closing: What closes; with a policy that of its training. By default a grip that answers
             to the load that it feels.
         policy: What corrects it; nothing by default.
-        reaching: What reaches; the default preset by default.
+        reaching: What reaches; by default `whole_grasps`.
         config: From phase to phase.
 
     Raises:
         InputError: A robot that a part cannot use, or control periods that differ.
     """
-    settings = reaching or reach_preset("default")
+    settings = reaching or whole_grasps()
     reacher = Reacher(robot_body(robot), settings.reach, settings.selection)
     planner = None if settings.plan is None else Planner(reacher, settings.plan)
     closer = Closer.of(robot, closing or CloserConfig(grip=REACTING))
@@ -70,4 +85,5 @@ def known_object(
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     score = None if score is None else jnp.asarray(score)
-    return Known(collision_field(obj), from_heatmap(heatmap, score, count))
+    weight = jnp.float32(_GRAVITY * obj.mass)
+    return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight)

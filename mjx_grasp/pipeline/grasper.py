@@ -50,6 +50,8 @@ class Known(NamedTuple):
     """what to keep away from while reaching"""
     candidates: Candidates
     """where it may be grasped"""
+    weight: Float[Array, ""]
+    """as far as it is known, 0 where it is not [N]"""
 
 
 class Seen(NamedTuple):
@@ -316,7 +318,7 @@ class Grasper:
         before, config = state.closing, self.config
         points = _to_world(before.contacts, seen)
         fresh = before.fresh
-        begun = self.closer.start(measured, points)
+        begun = self._preloaded(self.closer.start(measured, points), known)
         sensed = self.closer.sense(before.closer, measured, points, seen.touching)
         closer = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), begun, sensed)
         action = jnp.where(fresh, 0.0, before.action)
@@ -360,6 +362,18 @@ class Grasper:
             ),
         )
         return state, self._did(target, points, norm(points.position - measured.pad_pos))
+
+    def _preloaded(self, closer: CloserState, known: Known) -> CloserState:
+        """With the force that the object's weight will ask for, of a grip that answers to load.
+
+        F = W / 3 μ₀, where that law comes to rest once the object hangs: a heavy one would begin to
+        slip before it is felt.
+        """
+        grip = self.closer.config.grip
+        if grip.friction is None:
+            return closer
+        asked = known.weight / (3.0 * grip.friction)
+        return closer._replace(level=jnp.clip(asked, grip.force, max(grip.force, grip.most)))
 
     def _stop(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen

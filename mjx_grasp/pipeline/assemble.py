@@ -85,5 +85,5 @@ def known_object(
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     score = None if score is None else jnp.asarray(score)
-    weight = jnp.float32(_GRAVITY * obj.mass)
-    return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight)
+    weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
+    return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight, com)

@@ -12,6 +12,7 @@ longer than a control period. Until then the old plan is followed.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import stages
 from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.closing.forces import finger_shares
 from mjx_grasp.closing.learned import (
     LearnedPolicy,
     first_stack,
@@ -32,9 +34,12 @@ from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import norm, turned, turned_back
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.grasp.targets import three_normals, three_points
+from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
+from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
@@ -52,6 +57,17 @@ class Known(NamedTuple):
     """where it may be grasped"""
     weight: Float[Array, ""]
     """as far as it is known, 0 where it is not [N]"""
+    com: Float[Array, " 3"]
+    """centre of mass [m]"""
+
+
+class Ways(NamedTuple):
+    """Ways to grasp the object, the best first."""
+
+    plans: Plans
+    """to reach it"""
+    force: Float[Array, " p"]
+    """F with which the grip of each begins [N]"""
 
 
 class Seen(NamedTuple):
@@ -106,8 +122,8 @@ class GraspState(NamedTuple):
     returns: Int[Array, ""]
     """times that closing was left for reaching"""
     reach: ReachState
-    plans: Plans | None
-    """ways to reach the object; none without a planner"""
+    ways: Ways | None
+    """ways to grasp the object; none without a planner"""
     reference: Float[Array, " n"]
     """integrated joint positions [rad]"""
     target: Float[Array, " n"]
@@ -178,8 +194,8 @@ class Grasper:
         seen: Seen,
         q: Float[Array, " n"],
         key: Array,
-    ) -> Plans | None:
-        """Ways to reach the object where it is; an event, much dearer than a tick.
+    ) -> Ways | None:
+        """Ways to grasp the object where it is; an event, much dearer than a tick.
 
         Args:
             library: From `start_library`.
@@ -193,10 +209,11 @@ class Grasper:
         still = jnp.zeros((len(seen.obstacles), 3))
         around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo)
         around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
-        return self.planner.search(library, known.candidates, around, q, key).plans
+        plans = self.planner.search(library, known.candidates, around, q, key).plans
+        return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
 
     def start(
-        self, measured: Measured, known: Known, seen: Seen, plans: Plans | None = None
+        self, measured: Measured, known: Known, seen: Seen, ways: Ways | None = None
     ) -> GraspState:
         """The state at the start of a grasp.
 
@@ -204,7 +221,7 @@ class Grasper:
             measured: Now.
             known: The object.
             seen: Where it is.
-            plans: From `plan`.
+            ways: From `plan`.
         """
         phases = jnp.full(len(Phase), jnp.nan)
         never = jnp.float32(jnp.nan)
@@ -214,17 +231,17 @@ class Grasper:
             clock=jnp.float32(0.0),
             entered=phases.at[Phase.REACHING].set(0.0),
             returns=jnp.int32(0),
-            reach=self._start_reach(measured, known, seen, plans),
-            plans=plans,
+            reach=self._start_reach(measured, known, seen, ways),
+            ways=ways,
             reference=measured.q,
             target=measured.q,
             closing=self._start_closing(measured),
             handoff=Handoff(jnp.full(3, jnp.nan), never),
         )
 
-    def adopt(self, state: GraspState, plans: Plans) -> GraspState:
+    def adopt(self, state: GraspState, ways: Ways) -> GraspState:
         """Goes on with new plans for the object's present pose."""
-        return state._replace(reach=self.reacher.adopt(state.reach, plans), plans=plans)
+        return state._replace(reach=self.reacher.adopt(state.reach, ways.plans), ways=ways)
 
     def tick(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen
@@ -249,11 +266,12 @@ class Grasper:
             failure=jnp.where(late, Failure.TIME_OUT, after.failure).astype(jnp.int32),
             entered=jnp.where(enters, state.clock, after.entered),
             target=done.target,
-        ), done._replace(plans_due=due & (state.plans is not None))
+        ), done._replace(plans_due=due & (state.ways is not None))
 
     def _start_reach(
-        self, measured: Measured, known: Known, seen: Seen, plans: Plans | None
+        self, measured: Measured, known: Known, seen: Seen, ways: Ways | None
     ) -> ReachState:
+        plans = None if ways is None else ways.plans
         return self.reacher.start(
             measured.q, known.candidates, seen.p_wo, seen.R_wo, plans, len(seen.obstacles)
         )
@@ -284,7 +302,7 @@ class Grasper:
             seen.p_wo,
             seen.R_wo,
             seen.obstacles,
-            state.plans,
+            None if state.ways is None else state.ways.plans,
         )
         reference, target = follow_velocity(
             state.reference, measured.q, done.velocity, self.dt, self.servos, self.config.servo
@@ -318,9 +336,10 @@ class Grasper:
         before, config = state.closing, self.config
         points = _to_world(before.contacts, seen)
         fresh = before.fresh
-        begun = self._preloaded(self.closer.start(measured, points), known)
+        begun = self.closer.start(measured, points)
         sensed = self.closer.sense(before.closer, measured, points, seen.touching)
         closer = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), begun, sensed)
+        closer = self._preloaded(closer, state)
         action = jnp.where(fresh, 0.0, before.action)
         first = self._first_stack(closer, measured, points, action)
         stack = jnp.where(fresh, first, pushed(before.stack, first[-1]))
@@ -343,8 +362,8 @@ class Grasper:
             [Phase.FAILED, Phase.REACHING, Phase.HOLDING, Phase.LIFTING],
             Phase.CLOSING,
         )
-        again = self._start_reach(measured, known, seen, state.plans)
-        again = again._replace(stale=jnp.asarray(state.plans is not None))
+        again = self._start_reach(measured, known, seen, state.ways)
+        again = again._replace(stale=jnp.asarray(state.ways is not None))
         reach = jax.tree.map(lambda a, b: jnp.where(goes_back, a, b), again, state.reach)
         state = state._replace(
             phase=phase.astype(jnp.int32),
@@ -363,17 +382,30 @@ class Grasper:
         )
         return state, self._did(target, points, norm(points.position - measured.pad_pos))
 
-    def _preloaded(self, closer: CloserState, known: Known) -> CloserState:
-        """With the force that the object's weight will ask for, of a grip that answers to load.
+    def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
+        """Presses with no less than the plan says, where the grip answers to load.
 
-        F = W / 3 μ₀, where that law comes to rest once the object hangs: a heavy one would begin to
-        slip before it is felt.
+        Before the lift nothing is felt of the weight; once a heavy object slips it is late.
         """
-        grip = self.closer.config.grip
-        if grip.friction is None:
+        if self.closer.config.grip.friction is None or state.ways is None:
             return closer
-        asked = known.weight / (3.0 * grip.friction)
-        return closer._replace(level=jnp.clip(asked, grip.force, max(grip.force, grip.most)))
+        return closer._replace(level=jnp.maximum(closer.level, state.ways.force[state.reach.plan]))
+
+    def _force(self, known: Known, seen: Seen, plan: Plans) -> Float[Array, ""]:
+        """F that holds the known weight by a plan's contacts at the grip's own friction μ₀ [N].
+
+        The wrench margin's force is that of the thumb, which presses with 3/2 F where it bears what
+        the wraps bear together.
+        """
+        grip, targets = self.closer.config.grip, self.reacher.selection.targets
+        if grip.friction is None:
+            return jnp.float32(grip.force)
+        of = jax.tree.map(lambda leaf: leaf[plan.candidate], known.candidates)
+        position = three_points(of.thumb, of.centre, plan.spread, targets)
+        load = Load(known.weight * -seen.R_wo[2], known.com)
+        contact = ContactConfig(friction=grip.friction)
+        thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)
+        return jnp.clip(thumb / finger_shares(FINGERS, grip)[0], grip.force, grip.most)
 
     def _stop(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen

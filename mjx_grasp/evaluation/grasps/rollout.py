@@ -147,7 +147,7 @@ def grasp_all(
             found = _planned(
                 grasper, library, known, see(carry.truth), carry.measured.q, key, due
             )
-            new, mask = _spread(found, carry.grasp.plans, due), np.isin(np.arange(worlds), due)
+            new, mask = _spread(found, carry.grasp.ways, due), np.isin(np.arange(worlds), due)
             carry = carry._replace(
                 grasp=_where(mask, adopt(carry.grasp, new), carry.grasp), due=carry.due & ~mask
             )

@@ -16,7 +16,8 @@ from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.config import GrasperConfig
-from mjx_grasp.pipeline.grasper import Grasper, Known
+from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner

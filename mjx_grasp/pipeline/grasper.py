@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from mjx_grasp.closing import stages
 from mjx_grasp.closing.closer import Closer, CloserState
@@ -30,15 +29,24 @@ from mjx_grasp.closing.learned import (
     pushed,
 )
 from mjx_grasp.errors import InputError
-from mjx_grasp.geometry.signed_distance import Shape
-from mjx_grasp.geometry.vectors import norm, turned, turned_back
-from mjx_grasp.grasp.candidates import Candidates
+from mjx_grasp.geometry.vectors import norm, turned_back
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.grasp.targets import three_normals, three_points
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
+from mjx_grasp.pipeline.state import (
+    ClosingMemory,
+    GraspState,
+    GraspTick,
+    Handoff,
+    Known,
+    Seen,
+    Ways,
+    to_object,
+    to_world,
+)
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
@@ -46,103 +54,6 @@ from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachSta
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.robot.interface import Measured
-
-
-class Known(NamedTuple):
-    """What is known of the object before a grasp; object frame."""
-
-    shape: Shape
-    """what to keep away from while reaching"""
-    candidates: Candidates
-    """where it may be grasped"""
-    weight: Float[Array, ""]
-    """as far as it is known, 0 where it is not [N]"""
-    com: Float[Array, " 3"]
-    """centre of mass [m]"""
-
-
-class Ways(NamedTuple):
-    """Ways to grasp the object, the best first."""
-
-    plans: Plans
-    """to reach it"""
-    force: Float[Array, " p"]
-    """F with which the grip of each begins [N]"""
-
-
-class Seen(NamedTuple):
-    """What is perceived beside the robot at a tick; world frame."""
-
-    p_wo: Float[Array, " 3"]
-    """tracked object origin [m]"""
-    R_wo: Float[Array, "3 3"]
-    """tracked object rotation"""
-    touching: Bool[Array, " f"]
-    """contact flags from outside, all false if there are none"""
-    obstacles: Float[Array, "k 4"]
-    """spheres to avoid while reaching: centre and radius [m]"""
-
-
-class ClosingMemory(NamedTuple):
-    """What is remembered from the handoff on."""
-
-    fresh: Bool[Array, ""]
-    """whether the closer has yet to start"""
-    contacts: ThreePoints
-    """in the object frame"""
-    closer: CloserState
-    action: Float[Array, " a"]
-    """the policy's last"""
-    stack: Float[Array, "s d"]
-    """of its observations"""
-    in_palm: Float[Array, " 3"]
-    """object origin in the palm frame, followed until lift onset and then kept [m]"""
-
-
-class Handoff(NamedTuple):
-    """How well the hand was placed when closing began; NaN before."""
-
-    error: Float[Array, " 3"]
-    """tip frames to their standoff targets [m]"""
-    midpoint: Float[Array, ""]
-    """of midpoints [m]"""
-
-
-class GraspState(NamedTuple):
-    """What the controller remembers."""
-
-    phase: Int[Array, ""]
-    """a :class:`Phase`"""
-    failure: Int[Array, ""]
-    """a :class:`Failure`"""
-    clock: Float[Array, ""]
-    """since the start [s]"""
-    entered: Float[Array, " phases"]
-    """clock at which each phase was last entered, NaN if it never was [s]"""
-    returns: Int[Array, ""]
-    """times that closing was left for reaching"""
-    reach: ReachState
-    ways: Ways | None
-    """ways to grasp the object; none without a planner"""
-    reference: Float[Array, " n"]
-    """integrated joint positions [rad]"""
-    target: Float[Array, " n"]
-    """joint position targets sent last [rad]"""
-    closing: ClosingMemory
-    handoff: Handoff
-
-
-class GraspTick(NamedTuple):
-    """What one tick did."""
-
-    target: Float[Array, " n"]
-    """joint position targets, robot order [rad]"""
-    plans_due: Bool[Array, ""]
-    """whether new plans are to be looked for"""
-    contacts: ThreePoints
-    """the three points that the hand goes for, world frame"""
-    tip_error: Float[Array, " 3"]
-    """while reaching, tip frames to their standoff targets; then pads to their contacts [m]"""
 
 
 @jax.tree_util.register_static
@@ -315,7 +226,7 @@ class Grasper:
             Failure.NONE,
         )
         phase = jnp.where(hands_off, Phase.CLOSING, Phase.REACHING)
-        contacts = _to_object(points, seen)
+        contacts = to_object(points, seen)
         handoff = Handoff(done.report.error, done.report.midpoint)
         state = state._replace(
             phase=jnp.where(reason != Failure.NONE, Phase.FAILED, phase).astype(jnp.int32),
@@ -334,7 +245,7 @@ class Grasper:
     ) -> tuple[GraspState, GraspTick]:
         """A tick of closing, lifting or holding; the closer's own stages tell when the lift is."""
         before, config = state.closing, self.config
-        points = _to_world(before.contacts, seen)
+        points = to_world(before.contacts, seen)
         fresh = before.fresh
         begun = self.closer.start(measured, points)
         sensed = self.closer.sense(before.closer, measured, points, seen.touching)
@@ -411,7 +322,7 @@ class Grasper:
         self, state: GraspState, measured: Measured, known: Known, seen: Seen
     ) -> tuple[GraspState, GraspTick]:
         """Holds still."""
-        points = _to_world(state.closing.contacts, seen)
+        points = to_world(state.closing.contacts, seen)
         return state, self._did(state.target, points, norm(points.position - measured.pad_pos))
 
     def _did(
@@ -440,15 +351,3 @@ class Grasper:
         return jnp.clip(
             self.policy.answer(observation(stack, budget, self.policy.observation)), -1, 1
         )
-
-
-def _to_object(points: ThreePoints, seen: Seen) -> ThreePoints:
-    """World points in the object frame."""
-    position = turned_back(seen.R_wo, points.position - seen.p_wo)
-    return ThreePoints(position, turned_back(seen.R_wo, points.normal))
-
-
-def _to_world(points: ThreePoints, seen: Seen) -> ThreePoints:
-    """Points of the object frame where the object is tracked."""
-    position = seen.p_wo + turned(seen.R_wo, points.position)
-    return ThreePoints(position, turned(seen.R_wo, points.normal))

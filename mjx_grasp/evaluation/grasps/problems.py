@@ -12,7 +12,7 @@ from mjx_grasp.evaluation.grasps.rollout import GraspProblem
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.grasper import Known
+from mjx_grasp.pipeline.state import Known
 
 
 def draw_problem(

@@ -16,8 +16,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
-from mjx_grasp.pipeline.grasper import Grasper, GraspState, Known, Seen
+from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
 from mjx_grasp.posture.library import Library
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import NativePhysics, NativeState, at_rest
@@ -121,9 +122,7 @@ def grasp_all(
 
     key = jax.random.key(seed)
     see = partial(_seen, told=told)
-    plans = _planned(
-        grasper, library, known, see(truth), measured.q, key, np.arange(worlds)
-    )
+    plans = _planned(grasper, library, known, see(truth), measured.q, key, np.arange(worlds))
     grasp = jax.jit(jax.vmap(grasper.start))(measured, known, see(truth), plans)
     carry = _Carry(
         physics.init(jnp.asarray(qpos), ctrl), measured, truth, grasp, jnp.zeros(worlds, bool),
@@ -144,16 +143,15 @@ def grasp_all(
         due = np.flatnonzero(carry.due)
         if len(due):
             key = jax.random.fold_in(key, number)
-            found = _planned(
-                grasper, library, known, see(carry.truth), carry.measured.q, key, due
-            )
+            found = _planned(grasper, library, known, see(carry.truth), carry.measured.q, key, due)
             new, mask = _spread(found, carry.grasp.ways, due), np.isin(np.arange(worlds), due)
             carry = carry._replace(
                 grasp=_where(mask, adopt(carry.grasp, new), carry.grasp), due=carry.due & ~mask
             )
             replans[due] += 1
-    end = GraspEnd(*jax.tree.map(np.asarray, (carry.grasp, carry.progress)), replans)
-    return end, Trace(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
+    grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
+    trace = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return GraspEnd(grasp, judged, replans), trace
 
 
 def _segment(
@@ -225,7 +223,7 @@ def _planned(
     q: Float[Array, "w n"],
     key: Array,
     rows: Int[np.ndarray, " k"],
-):
+) -> Ways | None:
     """Plans of some worlds, a few at a time in one compiled size."""
     parts = []
     for first in range(0, len(rows), _PLANS_AT_ONCE):
@@ -246,19 +244,19 @@ def _plan(
     seen: Seen,
     q: Float[Array, "k n"],
     keys: Array,
-):
-    def one(given):
+) -> Ways | None:
+    def one(given: tuple[Known, Seen, Array, Array]) -> Ways | None:
         return grasper.plan(library, *given)
 
     return jax.lax.map(one, (known, seen, q, keys))
 
 
-def _spread(found, plans, rows: Int[np.ndarray, " k"]):
+def _spread(found: Ways | None, ways: Ways | None, rows: Int[np.ndarray, " k"]) -> Ways | None:
     """Plans of some worlds among those of all."""
-    return jax.tree.map(lambda new, old: old.at[rows].set(new), found, plans)
+    return jax.tree.map(lambda new, old: old.at[rows].set(new), found, ways)
 
 
-def _where(mask: Bool[np.ndarray, " w"], new, old):
+def _where(mask: Bool[np.ndarray, " w"], new: GraspState, old: GraspState) -> GraspState:
     return jax.tree.map(
         lambda a, b: jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old
     )

@@ -61,7 +61,7 @@ def against_the_order(module: str, text: str) -> set[tuple[str, str]]:
 
 def test_every_package_has_its_place():
     packages = {p.parent.name for p in (ROOT / "mjx_grasp").glob("*/__init__.py")}
-    assert packages == set(ORDER) - {"pipeline"}
+    assert packages == set(ORDER)
 
 
 def test_imports_follow_the_order():
@@ -131,7 +131,7 @@ def test_control_laws_reach_nothing_that_only_a_simulator_knows():
     """No `Truth` in a controller nor in whatever it is made of."""
     privileged = {m for m, text in SOURCES.items() if "Truth" in names(text)}
     assert "mjx_grasp.sim.physics" in privileged and "mjx_grasp.tasks.rewards" in privileged
-    for module in within("closing", "reaching", "grasp", "posture", "robot"):
+    for module in within("pipeline", "closing", "reaching", "grasp", "posture", "robot"):
         assert reached(module) & privileged == set(), module
 
 

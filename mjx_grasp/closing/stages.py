@@ -26,9 +26,14 @@ def lift_begins(
 def lift_speed(time: Float[Array, "*b"], config: LiftConfig) -> Float[Array, "*b"]:
     """The trapezoid's speed at a time since lift onset [m/s]; it covers `height` in all."""
     time, ramp = time - config.delay_s, config.ramp_s
-    duration = config.height / config.speed + ramp
+    duration = lift_duration(config) - config.delay_s
     share = jnp.minimum(time, duration - time) / max(ramp, 1e-9)
     return config.speed * jnp.clip(share, 0.0, 1.0)
+
+
+def lift_duration(config: LiftConfig) -> float:
+    """From lift onset to the end of the scripted motion [s]."""
+    return config.delay_s + config.height / config.speed + config.ramp_s
 
 
 def grip_share(time: Float[Array, "*b"], config: GripConfig) -> Float[Array, "*b"]:

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from mjx_grasp.geometry.distance_field import distance_cube
 from mjx_grasp.geometry.mesh import vertex_areas
 from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
@@ -27,6 +26,7 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
 from mjx_grasp.handoff.sampling import draw_candidates, poses_at_rest, sample_object_poses
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
+from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library
@@ -102,7 +102,8 @@ class HandoffGenerator:
             checker = CollisionChecker(build_scene([obj], self._robot))
             surface = heatmap_surface(obj.mesh, config.heatmap)
             area = vertex_areas(np.asarray(surface.vertices), np.asarray(surface.faces))
-            task = _Task(obj, candidates, options, area, suits, self._shape(obj), checker)
+            shape = collision_field(obj, config.posture.grid)
+            task = _Task(obj, candidates, options, area, suits, shape, checker)
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
                 accepted += self._round(task, report, rng)
@@ -113,14 +114,6 @@ class HandoffGenerator:
         report.kept = len(chosen)
         report.seconds = time.perf_counter() - started
         return self._as_set(obj, chosen), report
-
-    def _shape(self, obj: ObjectModel) -> Shape:
-        """What the solver keeps away from: the pieces that collisions are checked with."""
-        surfaces = [piece.surface() for piece in obj.pieces]
-        before = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
-        vertices = np.concatenate([s.vertices for s in surfaces])
-        faces = np.concatenate([s.faces + n for s, n in zip(surfaces, before, strict=True)])
-        return distance_cube(vertices, faces, self._config.posture.grid)
 
     def _round(
         self, task: _Task, report: ObjectReport, rng: np.random.Generator

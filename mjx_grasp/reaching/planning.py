@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
@@ -23,11 +24,13 @@ from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
+from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.records.settings import Count, NonNegative, Positive, Seed, Settings
+from mjx_grasp.records.settings import Count, NonNegative, Positive, PositiveOrNever, Seed, Settings
 from mjx_grasp.sim.scene import ObjectArea
 
 # Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
@@ -48,6 +51,13 @@ class PlanConfig(Settings):
     """of the palm's turn against its displacement [m/rad]"""
     tolerance: Positive = 0.005
     """largest tip error of a solution to be reached for [m]"""
+    lift_height: Positive = 0.15
+    """that the palm is to rise straight up afterwards [m]"""
+    lift_error: PositiveOrNever = float("inf")
+    """from where that should bring it to where it does; a posture with more comes after all others,
+    by default lifting is not looked at [m]"""
+    touch_error: PositiveOrNever = float("inf")
+    """the same of the finger that stays farthest from its contact when it closes [m]"""
     seed: Seed = 0
     """of the library"""
     area: ObjectArea = field(default_factory=ObjectArea)
@@ -137,7 +147,8 @@ class Planner:
             return solve_ik(body, plan.ik, self._clearances, wanted, around, start, home)
 
         found = jax.vmap(attempt)(option, starts.q)
-        cost = self._costs(allowed[option], found, q)
+        position = around.p_wo + ways.targets.position[option] @ around.R_wo.T
+        cost = self._costs(allowed[option], found, q) + self._shortfall(found.q, position)
         kept = self._different(found.q, cost)
 
         def planned(k: Int[Array, ""]) -> Guide:
@@ -203,6 +214,20 @@ class Planner:
         error = jnp.max(found.error, axis=1)
         lacking = jnp.maximum(jnp.maximum(error - self.config.tolerance, found.missing), 0.0)
         return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
+
+    def _shortfall(
+        self, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
+    ) -> Float[Array, " n"]:
+        """What postures lack for closing and lifting after them, as a cost like the others [s]."""
+        plan, body = self.config, self.reacher.body
+        lacking = jnp.zeros(len(q))
+        if np.isfinite(plan.lift_error):
+            lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
+            lacking = jnp.maximum(lift - plan.lift_error, 0.0)
+        if np.isfinite(plan.touch_error):
+            touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
+            lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
+        return _LACKING * lacking
 
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
         """The cheapest attempts of which no two put the palm in the same place."""

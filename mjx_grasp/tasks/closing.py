@@ -15,12 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control
 from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.closing.learned import first_stack, observation, observed_step, pushed
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
-from mjx_grasp.tasks.observation import felt, privileged, proprioception
+from mjx_grasp.tasks.observation import privileged
 from mjx_grasp.tasks.rewards import Moment, RewardTerm, closing_terms
 from mjx_grasp.tasks.robot_errors import RobotDraw, arriving, as_sensed, longest_delay
 from mjx_grasp.tasks.starts import (
@@ -31,7 +32,13 @@ from mjx_grasp.tasks.starts import (
     draw_starts,
     placed_object,
 )
-from mjx_grasp.tasks.success import Progress, failure_classes, initial_progress, update_progress
+from mjx_grasp.tasks.success import (
+    Progress,
+    failure_classes,
+    in_palm,
+    initial_progress,
+    update_progress,
+)
 from mjx_grasp.tasks.task import EpisodeSummary, Observations, TaskTick
 
 
@@ -242,9 +249,9 @@ class ClosingTask:
         action: Float[Array, "w k"],
     ) -> tuple[Episode, Float[Array, " w"]]:
         """What came of the tick, and how far the object has slipped in the palm [m]."""
-        in_palm = _in_palm(measured, truth)
-        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, in_palm)
-        slip = jnp.where(sensed.lifting, jnp.linalg.norm(in_palm - reference, axis=-1), 0.0)
+        here = in_palm(measured, truth)
+        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, here)
+        slip = jnp.where(sensed.lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
         rise = truth.object_pos[:, 2] - before.reset_height
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
@@ -253,7 +260,7 @@ class ClosingTask:
         episode = before._replace(
             action=action,
             last_action=before.action,
-            stack=jnp.concatenate([before.stack[:, 1:], step[:, None]], axis=1),
+            stack=pushed(before.stack, step),
             object_in_palm=reference,
             progress=update_progress(
                 before.progress, rise, slip, self.config.success, self.config.control_dt
@@ -269,19 +276,12 @@ class ClosingTask:
         self, closer: CloserState, measured: Measured, targets: ThreePoints, action: Array
     ) -> Float[Array, "w d"]:
         """The observation of one tick."""
-        at = self.closer.joints.at.fingers
-        step = proprioception(measured.q[:, at], measured.qd[:, at], action)
-        if not self.config.observation.forces:
-            return step
-        load = self.closer.load(closer, measured, targets)
-        return jnp.concatenate([step, felt(*load, closer.level)], axis=-1)
+        seen = self.config.observation
+        return observed_step(self.closer, closer, measured, targets, action, seen)
 
     def _observe(self, state: ClosingState) -> Observations:
-        episode, closer, config = state.episode, state.closer, self.config.observation
-        seen = [episode.stack[:, -1 - ago] for ago in reversed(config.ticks_ago)]
-        if config.budget:
-            seen.append(episode.budget[:, None] / 5.0)
-        proprio = jnp.concatenate(seen, axis=-1)
+        episode, closer = state.episode, state.closer
+        proprio = observation(episode.stack, episode.budget, self.config.observation)
         if not self._with_privileged:
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
@@ -296,7 +296,7 @@ class ClosingTask:
                 closer.tick / ticks,
                 closer.lift_tick / ticks,
                 (truth.object_pos[:, 2] - episode.reset_height) * 10.0,
-                jnp.linalg.norm(_in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
+                jnp.linalg.norm(in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
                 state.params.friction,
                 state.params.mass_scale,
                 *((closer.level * 0.2, episode.budget * 0.2) if self._feels else ()),
@@ -330,12 +330,12 @@ class ClosingTask:
             row=draw.row,
             action=action,
             last_action=action,
-            stack=jnp.repeat(first[:, None], self.config.observation.ticks_ago[-1] + 1, axis=1),
+            stack=first_stack(first, self.config.observation),
             budget=draw.budget,
             robot=draw.robot,
             sent=(measured.q,) * delay,
             reset_height=truth.object_pos[:, 2],
-            object_in_palm=_in_palm(measured, truth),
+            object_in_palm=in_palm(measured, truth),
             progress=initial_progress((w,)),
             force_sum=zeros,
             force_peak=zeros,
@@ -348,12 +348,6 @@ class ClosingTask:
 def _lift_force(episode: Episode, closer: CloserState) -> Float[Array, " w"]:
     """Mean force per finger since lift onset, 0 before [N]."""
     return episode.force_sum / (closer.lift_tick + 1)  # the onset's own tick counts
-
-
-def _in_palm(measured: Measured, truth: Truth) -> Float[Array, "w 3"]:
-    """Object origin in the palm frame [m]."""
-    offset = truth.object_pos - measured.palm_pos
-    return jnp.sum(measured.palm_mat * offset[..., :, None], axis=-2)
 
 
 _OFF_THE_TABLE_M = 0.01

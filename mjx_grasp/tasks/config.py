@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from mjx_grasp.closing.config import CloserConfig
+from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import (
     Finite,
@@ -15,9 +16,7 @@ from mjx_grasp.records.settings import (
     Positive,
     Range,
     Settings,
-    Several,
     Share,
-    WholeNumber,
     from_record,
 )
 
@@ -74,19 +73,6 @@ class SuccessConfig(Settings):
     """how long the rise must last [s]"""
     slip: Positive = 0.03
     """palm-frame displacement since lift onset that counts as a slip [m]"""
-
-
-@dataclass(frozen=True)
-class ObservationConfig(Settings):
-    """What the policy sees of each control tick, and of which ticks."""
-
-    forces: bool = False
-    """whether the estimated forces of the fingers, along and across their pressing direction, and
-    the grip's own force stand beside joints and actions; for a torque-sensed hand"""
-    budget: bool = False
-    """whether the force budget does, the mean force per finger that a grasp may take"""
-    ticks_ago: Annotated[tuple[WholeNumber, ...], Several(ascending=True, strictly=True)] = (0, 1)
-    """the ticks that are stacked, the newest first [-]"""
 
 
 @dataclass(frozen=True)

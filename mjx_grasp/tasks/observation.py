@@ -1,15 +1,15 @@
-"""What the policy sees: 66 proprioceptive numbers, or more; and what only the critic may see."""
+"""How many numbers the policy sees, 66 or more, and what only the critic may see."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.physics import Truth
-from mjx_grasp.tasks.config import ObservationConfig
 
 
 def policy_sizes(robot: RobotSpec, config: ObservationConfig) -> tuple[int, int]:
@@ -18,20 +18,6 @@ def policy_sizes(robot: RobotSpec, config: ObservationConfig) -> tuple[int, int]
     actions = joints + len(robot.arm.policy_joints)
     step = 2 * joints + actions + config.forces * (2 * fingers + 1)
     return len(config.ticks_ago) * step + config.budget, actions
-
-
-def proprioception(
-    q: Float[Array, "*b m"], qd: Float[Array, "*b m"], last_action: Float[Array, "*b a"]
-) -> Float[Array, "*b d"]:
-    """One step of the observation: finger positions [rad], velocities [rad/s], last action."""
-    return jnp.concatenate([q, qd, last_action], axis=-1)
-
-
-def felt(
-    normal: Float[Array, "*b f"], tangential: Float[Array, "*b f"], level: Float[Array, "*b"]
-) -> Float[Array, "*b e"]:
-    """Beside it for a torque-sensed hand: forces of the fingers and the grip's own, in 5 N."""
-    return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / 5.0
 
 
 def privileged(

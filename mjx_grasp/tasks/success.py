@@ -7,6 +7,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.robot.interface import Measured
+from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.config import SuccessConfig
 
 
@@ -61,6 +63,12 @@ def update_progress(
         slipped=progress.slipped | (lifted & moved),
         peak_rise=jnp.maximum(progress.peak_rise, rise),
     )
+
+
+def in_palm(measured: Measured, truth: Truth) -> Float[Array, "*b 3"]:
+    """Object origin in the palm frame [m]; how far it moves there is a grasp's slip."""
+    offset = truth.object_pos - measured.palm_pos
+    return jnp.sum(measured.palm_mat * offset[..., :, None], axis=-2)
 
 
 FAILURES = ("never_lifted", "slipped", "not_held")

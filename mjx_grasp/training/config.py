@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mjx_grasp.closing.config import REACTING, ActionConfig, GripConfig, LiftConfig
+from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.run import LoopConfig
@@ -23,7 +24,6 @@ from mjx_grasp.records.settings import (
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
 from mjx_grasp.tasks.config import (
-    ObservationConfig,
     RewardConfig,
     StartNoise,
     task_from_record,

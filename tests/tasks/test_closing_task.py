@@ -5,9 +5,10 @@ import pytest
 from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import ActionConfig, GripConfig, GuidanceConfig
+from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
 from mjx_grasp.tasks.closing import ClosingTask
-from mjx_grasp.tasks.config import ClosingTaskConfig, ObservationConfig, StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
 from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import failure_classes
 

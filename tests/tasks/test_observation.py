@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.tasks.observation import privileged, proprioception
+from mjx_grasp.closing.learned import proprioception
+from mjx_grasp.tasks.observation import privileged
 
 SCALARS = (0.0, 0.25, 0.1, 0.5, 0.2, 0.8, 1.0)
 """Stage, times, rise, slip, friction and mass."""

@@ -169,7 +169,9 @@ def test_a_hard_finger_costs_beyond_a_force_up_to_a_bound():
     def cost(force, lifting=False):
         at = moment(lifting=lifting)
         fingers = jnp.zeros((3, 3)).at[1, 2].set(force)
-        return float(rewards.hard(at._replace(truth=at.truth._replace(finger_force=fingers)), config))
+        return float(
+            rewards.hard(at._replace(truth=at.truth._replace(finger_force=fingers)), config)
+        )
 
     assert cost(5.9) == 0.0
     np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 10], rtol=1e-5)

@@ -10,11 +10,11 @@ from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.closing.joints import driven_joints
+from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import (
     ClosingTaskConfig,
-    ObservationConfig,
     RewardConfig,
     RobotErrors,
     StartNoise,

@@ -1,0 +1,108 @@
+"""A policy on top of the closing controller: what it sees of each control tick (method §5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.records.settings import Settings, Several, WholeNumber
+from mjx_grasp.robot.interface import Measured
+
+
+@dataclass(frozen=True)
+class ObservationConfig(Settings):
+    """What the policy sees of each control tick, and of which ticks."""
+
+    forces: bool = False
+    """whether the estimated forces of the fingers, along and across their pressing direction, and
+    the grip's own force stand beside joints and actions; for a torque-sensed hand"""
+    budget: bool = False
+    """whether the force budget does, the mean force per finger that a grasp may take"""
+    ticks_ago: Annotated[tuple[WholeNumber, ...], Several(ascending=True, strictly=True)] = (0, 1)
+    """the ticks that are stacked, the newest first [-]"""
+
+
+@jax.tree_util.register_static
+@dataclass(frozen=True, eq=False)
+class LearnedPolicy:
+    """A trained policy as a controller asks it; static under jit."""
+
+    answer: Callable[[Float[Array, "*b d"]], Float[Array, "*b a"]]
+    """actions for observations, in ±1"""
+    observation: ObservationConfig
+    """what those are made of"""
+    budget: float = 3.0
+    """force budget that it is given, if it reads one [N]"""
+
+
+def observed_step(
+    closer: Closer,
+    state: CloserState,
+    measured: Measured,
+    targets: ThreePoints,
+    last_action: Float[Array, "*b a"],
+    config: ObservationConfig,
+) -> Float[Array, "*b d"]:
+    """What is seen of one tick.
+
+    Args:
+        closer: The controller.
+        state: After `sense`.
+        measured: Now.
+        targets: The contacts.
+        last_action: The policy's, zeros at first.
+        config: What is seen.
+    """
+    at = closer.joints.at.fingers
+    step = proprioception(measured.q[..., at], measured.qd[..., at], last_action)
+    if not config.forces:
+        return step
+    load = closer.load(state, measured, targets)
+    return jnp.concatenate([step, felt(*load, state.level)], axis=-1)
+
+
+def first_stack(step: Float[Array, "*b d"], config: ObservationConfig) -> Float[Array, "*b s d"]:
+    """Before the first action: as if all had been as it is now."""
+    return jnp.repeat(step[..., None, :], config.ticks_ago[-1] + 1, axis=-2)
+
+
+def pushed(stack: Float[Array, "*b s d"], step: Float[Array, "*b d"]) -> Float[Array, "*b s d"]:
+    """The stack of steps, oldest first, with one more and without its oldest."""
+    return jnp.concatenate([stack[..., 1:, :], step[..., None, :]], axis=-2)
+
+
+def observation(
+    stack: Float[Array, "*b s d"], budget: Float[Array, "*b"], config: ObservationConfig
+) -> Float[Array, "*b e"]:
+    """What the policy reads.
+
+    Args:
+        stack: Steps, oldest first.
+        budget: Mean force per finger that the grasp may take [N].
+        config: Which of the steps, and whether the budget.
+    """
+    seen = [stack[..., -1 - ago, :] for ago in reversed(config.ticks_ago)]
+    if config.budget:
+        seen.append(budget[..., None] / 5.0)
+    return jnp.concatenate(seen, axis=-1)
+
+
+def proprioception(
+    q: Float[Array, "*b m"], qd: Float[Array, "*b m"], last_action: Float[Array, "*b a"]
+) -> Float[Array, "*b d"]:
+    """One step of the observation: finger positions [rad], velocities [rad/s], last action."""
+    return jnp.concatenate([q, qd, last_action], axis=-1)
+
+
+def felt(
+    normal: Float[Array, "*b f"], tangential: Float[Array, "*b f"], level: Float[Array, "*b"]
+) -> Float[Array, "*b e"]:
+    """Beside it for a torque-sensed hand: forces of the fingers and the grip's own, in 5 N."""
+    return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / 5.0

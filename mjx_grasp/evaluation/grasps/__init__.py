@@ -1,0 +1,1 @@
+"""Whole grasps in simulation, from the home posture to an object that is held up."""

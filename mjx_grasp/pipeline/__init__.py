@@ -1,0 +1,1 @@
+"""From an object on the table to an object held up: one controller over all stages."""

@@ -1,0 +1,90 @@
+"""A grasper and what it knows of an object, from a robot, settings and a model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mjx_grasp.closing.closer import Closer
+from mjx_grasp.closing.config import REACTING, CloserConfig
+from mjx_grasp.closing.learned import LearnedPolicy
+from mjx_grasp.grasp.candidates import from_heatmap
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.objects.clearance import collision_field
+from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.pipeline.config import GrasperConfig
+from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.state import Known
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.planning import Planner
+from mjx_grasp.reaching.presets import ReachPreset, reach_preset
+from mjx_grasp.robot.spec import RobotSpec
+
+CANDIDATES = 256
+"""Of a heatmap, the best, among which reaching chooses."""
+_GRAVITY = 9.81  # m/s²
+
+
+def whole_grasps(preset: str = "default") -> ReachPreset:
+    """A preset of reaching that also looks ahead to what follows it, where it plans at all.
+
+    Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
+    last, by the same bounds as in the making of start states.
+    """
+    settings = reach_preset(preset)
+    if settings.plan is None:
+        return settings
+    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.022))
+
+
+def grasper_of(
+    robot: RobotSpec,
+    closing: CloserConfig | None = None,
+    policy: LearnedPolicy | None = None,
+    reaching: ReachPreset | None = None,
+    config: GrasperConfig | None = None,
+) -> Grasper:
+    """The controller of whole grasps of a robot.
+
+    Args:
+        robot: Arm and hand.
+        closing: What closes; with a policy that of its training. By default a grip that answers
+            to the load that it feels.
+        policy: What corrects it; nothing by default.
+        reaching: What reaches; by default `whole_grasps`.
+        config: From phase to phase.
+
+    Raises:
+        InputError: A robot that a part cannot use, or control periods that differ.
+    """
+    settings = reaching or whole_grasps()
+    reacher = Reacher(robot_body(robot), settings.reach, settings.selection)
+    planner = None if settings.plan is None else Planner(reacher, settings.plan)
+    closer = Closer.of(robot, closing or CloserConfig(grip=REACTING))
+    return Grasper.of(reacher, closer, config, planner, policy)
+
+
+def known_object(
+    obj: ObjectModel,
+    robot: RobotSpec,
+    heatmap: Heatmap | None = None,
+    score: Float[Array, " v"] | None = None,
+    count: int = CANDIDATES,
+) -> Known:
+    """What a grasp has to know of an object; of one size for all objects, so that they stack.
+
+    Args:
+        obj: The object.
+        robot: Whose hand the candidates are for.
+        heatmap: Of the object; computed here if None.
+        score: Steered scores; the heatmap's own if None.
+        count: Candidates, the best by score.
+    """
+    heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
+    score = None if score is None else jnp.asarray(score)
+    weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
+    return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight, com)

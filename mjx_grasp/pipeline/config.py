@@ -1,0 +1,35 @@
+"""Every number of the grasp as a whole, beside those of reaching and closing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mjx_grasp.records.settings import NonNegative, Positive, PositiveOrNever, Settings
+
+
+@dataclass(frozen=True)
+class ServoConfig(Settings):
+    """How velocities of reaching become position targets of joint servos."""
+
+    lead: Positive = 0.05
+    """most that the integrated target runs ahead of its joint: what stops a joint winds up no force
+    [rad]"""
+    feed_forward: NonNegative = 1.0
+    """share of a servo's lag at the commanded velocity that its target makes up for [-]"""
+
+
+@dataclass(frozen=True)
+class GrasperConfig(Settings):
+    """When a grasp goes from one phase to the next."""
+
+    lost: PositiveOrNever = 0.050
+    """distance of the pads' midpoint from that of the contacts from which a hand that closes goes
+    back to reaching: the object is elsewhere [m]"""
+    contact_s: Positive = 4.0
+    """time for closing; without a lift by then the grasp has failed [s]"""
+    dropped: PositiveOrNever = 0.060
+    """displacement of the object in the palm since lift onset from which it is lost [m]"""
+    timeout_s: PositiveOrNever = 20.0
+    """from the start to the end of the lift [s]"""
+    servo: ServoConfig = ServoConfig()
+    """of the joints"""

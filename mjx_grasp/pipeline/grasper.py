@@ -1,0 +1,353 @@
+"""The controller of a whole grasp: select, reach, close, lift, hold; one tick over a phase.
+
+It composes the `Reacher` (method §3) and the `Closer` (method §5), and knows what a robot knows:
+its own measurements, the tracked pose of the object, and touch flags if there are any. Contacts are
+kept in the object frame and follow the tracked pose.
+
+A tick is pure. Looking for plans is an event of its own: `Grasper.tick` says when new ones are due,
+and whoever runs the loop calls `Grasper.plan` and `Grasper.adopt`, beside the loop if that takes
+longer than a control period. Until then the old plan is followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mjx_grasp.closing import stages
+from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.closing.forces import finger_shares
+from mjx_grasp.closing.learned import (
+    LearnedPolicy,
+    first_stack,
+    observation,
+    observed_step,
+    pushed,
+)
+from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.vectors import norm, turned_back
+from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.grasp.targets import three_normals, three_points
+from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
+from mjx_grasp.pipeline.config import GrasperConfig
+from mjx_grasp.pipeline.phases import Failure, Phase
+from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
+from mjx_grasp.pipeline.state import (
+    ClosingMemory,
+    GraspState,
+    GraspTick,
+    Handoff,
+    Known,
+    Seen,
+    Ways,
+    to_object,
+    to_world,
+)
+from mjx_grasp.posture.body import FINGERS
+from mjx_grasp.posture.library import Library
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
+from mjx_grasp.reaching.fields import midpoint
+from mjx_grasp.reaching.planning import Planner
+from mjx_grasp.robot.interface import Measured
+
+
+@jax.tree_util.register_static
+@dataclass(frozen=True, eq=False)
+class Grasper:
+    """Controller of one robot with one set of settings; static under jit.
+
+    One world costs what its phase costs. Many are a ``vmap``, for which every phase is computed.
+    """
+
+    reacher: Reacher
+    closer: Closer
+    config: GrasperConfig
+    servos: Servos
+    planner: Planner | None = None
+    """looks for ways to reach; without one the selection alone decides, as published"""
+    policy: LearnedPolicy | None = None
+    """closes on top of the model-based command; without one that is alone"""
+
+    @classmethod
+    def of(
+        cls,
+        reacher: Reacher,
+        closer: Closer,
+        config: GrasperConfig | None = None,
+        planner: Planner | None = None,
+        policy: LearnedPolicy | None = None,
+    ) -> Grasper:
+        """The controller of the robot that both parts are for.
+
+        Raises:
+            InputError: Their control periods differ.
+        """
+        periods = reacher.config.controller.dt, closer.config.control_dt
+        if periods[0] != periods[1]:
+            raise InputError("control_dt", periods, "the same of reaching and closing")
+        servos = joint_servos(reacher.body.robot)
+        return cls(reacher, closer, config or GrasperConfig(), servos, planner, policy)
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.closer.config.control_dt
+
+    def plan(
+        self,
+        library: Library,
+        known: Known,
+        seen: Seen,
+        q: Float[Array, " n"],
+        key: Array,
+    ) -> Ways | None:
+        """Ways to grasp the object where it is; an event, much dearer than a tick.
+
+        Args:
+            library: From `start_library`.
+            known: The object.
+            seen: Where it is, and what is in the way.
+            q: Measured joint positions [rad].
+            key: Of what is tried at random.
+        """
+        if self.planner is None:
+            return None
+        still = jnp.zeros((len(seen.obstacles), 3))
+        around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo)
+        around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
+        plans = self.planner.search(library, known.candidates, around, q, key).plans
+        return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
+
+    def start(
+        self, measured: Measured, known: Known, seen: Seen, ways: Ways | None = None
+    ) -> GraspState:
+        """The state at the start of a grasp.
+
+        Args:
+            measured: Now.
+            known: The object.
+            seen: Where it is.
+            ways: From `plan`.
+        """
+        phases = jnp.full(len(Phase), jnp.nan)
+        never = jnp.float32(jnp.nan)
+        return GraspState(
+            phase=jnp.int32(Phase.REACHING),
+            failure=jnp.int32(Failure.NONE),
+            clock=jnp.float32(0.0),
+            entered=phases.at[Phase.REACHING].set(0.0),
+            returns=jnp.int32(0),
+            reach=self._start_reach(measured, known, seen, ways),
+            ways=ways,
+            reference=measured.q,
+            target=measured.q,
+            closing=self._start_closing(measured),
+            handoff=Handoff(jnp.full(3, jnp.nan), never),
+        )
+
+    def adopt(self, state: GraspState, ways: Ways) -> GraspState:
+        """Goes on with new plans for the object's present pose."""
+        return state._replace(reach=self.reacher.adopt(state.reach, ways.plans), ways=ways)
+
+    def tick(
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
+    ) -> tuple[GraspState, GraspTick]:
+        """One control period.
+
+        Args:
+            state: From `start` or the last tick.
+            measured: Now.
+            known: The object.
+            seen: Where it is now, what touches, what is in the way.
+        """
+        state = state._replace(clock=state.clock + self.dt)
+        parts = (self._reach, self._close, self._close, self._close, self._stop)
+        after, done = jax.lax.switch(state.phase, parts, state, measured, known, seen)
+        late = (after.phase < Phase.HOLDING) & (after.clock >= self.config.timeout_s)
+        phase = jnp.where(late, Phase.FAILED, after.phase).astype(jnp.int32)
+        enters = (phase != state.phase) & (jnp.arange(len(Phase)) == phase)
+        due = (phase == Phase.REACHING) & after.reach.stale
+        return after._replace(
+            phase=phase,
+            failure=jnp.where(late, Failure.TIME_OUT, after.failure).astype(jnp.int32),
+            entered=jnp.where(enters, state.clock, after.entered),
+            target=done.target,
+        ), done._replace(plans_due=due & (state.ways is not None))
+
+    def _start_reach(
+        self, measured: Measured, known: Known, seen: Seen, ways: Ways | None
+    ) -> ReachState:
+        plans = None if ways is None else ways.plans
+        return self.reacher.start(
+            measured.q, known.candidates, seen.p_wo, seen.R_wo, plans, len(seen.obstacles)
+        )
+
+    def _start_closing(self, measured: Measured) -> ClosingMemory:
+        """Before any handoff: of the right shapes, and void."""
+        points = ThreePoints(measured.pad_pos, -measured.pad_mat[..., 0])
+        closer = self.closer.start(measured, points)
+        action = jnp.zeros(self.closer.action_size)
+        return ClosingMemory(
+            fresh=jnp.asarray(True),
+            contacts=points,
+            closer=closer,
+            action=action,
+            stack=self._first_stack(closer, measured, points, action),
+            in_palm=jnp.zeros(3),
+        )
+
+    def _reach(
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
+    ) -> tuple[GraspState, GraspTick]:
+        """A tick of reaching; its own gate hands off, its own time-outs re-select and fail."""
+        reach, done = self.reacher.tick(
+            state.reach,
+            measured.q,
+            known.shape,
+            known.candidates,
+            seen.p_wo,
+            seen.R_wo,
+            seen.obstacles,
+            None if state.ways is None else state.ways.plans,
+        )
+        reference, target = follow_velocity(
+            state.reference, measured.q, done.velocity, self.dt, self.servos, self.config.servo
+        )
+        points = ThreePoints(done.targets.position, done.targets.normal)
+        hands_off = reach.outcome == ReachOutcome.HANDOFF
+        reason = jnp.select(
+            [reach.outcome == ReachOutcome.FAILED, reach.outcome == ReachOutcome.NO_CANDIDATE],
+            [Failure.NOT_REACHED, Failure.NO_CANDIDATE],
+            Failure.NONE,
+        )
+        phase = jnp.where(hands_off, Phase.CLOSING, Phase.REACHING)
+        contacts = to_object(points, seen)
+        handoff = Handoff(done.report.error, done.report.midpoint)
+        state = state._replace(
+            phase=jnp.where(reason != Failure.NONE, Phase.FAILED, phase).astype(jnp.int32),
+            failure=reason.astype(jnp.int32),
+            reach=reach,
+            reference=reference,
+            closing=state.closing._replace(fresh=jnp.asarray(True), contacts=contacts),
+            handoff=jax.tree.map(
+                lambda new, old: jnp.where(hands_off, new, old), handoff, state.handoff
+            ),
+        )
+        return state, self._did(target, points, done.report.error)
+
+    def _close(
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
+    ) -> tuple[GraspState, GraspTick]:
+        """A tick of closing, lifting or holding; the closer's own stages tell when the lift is."""
+        before, config = state.closing, self.config
+        points = to_world(before.contacts, seen)
+        fresh = before.fresh
+        begun = self.closer.start(measured, points)
+        sensed = self.closer.sense(before.closer, measured, points, seen.touching)
+        closer = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), begun, sensed)
+        closer = self._preloaded(closer, state)
+        action = jnp.where(fresh, 0.0, before.action)
+        first = self._first_stack(closer, measured, points, action)
+        stack = jnp.where(fresh, first, pushed(before.stack, first[-1]))
+        action = self._action(stack)
+        closer, target = self.closer.act(closer, measured, points, action)
+
+        in_palm = turned_back(measured.palm_mat, seen.p_wo - measured.palm_pos)
+        kept = jnp.where(closer.lifting, before.in_palm, in_palm)
+        displaced = norm(in_palm - kept)
+        elsewhere = norm(midpoint(measured.pad_pos) - midpoint(points.position))
+        top = closer.lift_tick * self.dt >= stages.lift_duration(self.closer.config.lift)
+        goes_back = ~closer.lifting & (elsewhere > config.lost)
+        no_contact = ~closer.lifting & (closer.tick * self.dt >= config.contact_s)
+        lost = closer.lifting & (displaced > config.dropped)
+        reason = jnp.select(
+            [lost, no_contact & ~goes_back], [Failure.DROPPED, Failure.NO_CONTACT], Failure.NONE
+        )
+        phase = jnp.select(
+            [reason != Failure.NONE, goes_back, top, closer.lifting],
+            [Phase.FAILED, Phase.REACHING, Phase.HOLDING, Phase.LIFTING],
+            Phase.CLOSING,
+        )
+        again = self._start_reach(measured, known, seen, state.ways)
+        again = again._replace(stale=jnp.asarray(state.ways is not None))
+        reach = jax.tree.map(lambda a, b: jnp.where(goes_back, a, b), again, state.reach)
+        state = state._replace(
+            phase=phase.astype(jnp.int32),
+            failure=reason.astype(jnp.int32),
+            returns=state.returns + goes_back,
+            reach=reach,
+            reference=measured.q,
+            closing=ClosingMemory(
+                fresh=goes_back,
+                contacts=before.contacts,
+                closer=closer,
+                action=action,
+                stack=stack,
+                in_palm=kept,
+            ),
+        )
+        return state, self._did(target, points, norm(points.position - measured.pad_pos))
+
+    def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
+        """Presses with no less than the plan says, where the grip answers to load.
+
+        Before the lift nothing is felt of the weight; once a heavy object slips it is late.
+        """
+        if self.closer.config.grip.friction is None or state.ways is None:
+            return closer
+        return closer._replace(level=jnp.maximum(closer.level, state.ways.force[state.reach.plan]))
+
+    def _force(self, known: Known, seen: Seen, plan: Plans) -> Float[Array, ""]:
+        """F that holds the known weight by a plan's contacts at the grip's own friction μ₀ [N].
+
+        The wrench margin's force is that of the thumb, which presses with 3/2 F where it bears what
+        the wraps bear together.
+        """
+        grip, targets = self.closer.config.grip, self.reacher.selection.targets
+        if grip.friction is None:
+            return jnp.float32(grip.force)
+        of = jax.tree.map(lambda leaf: leaf[plan.candidate], known.candidates)
+        position = three_points(of.thumb, of.centre, plan.spread, targets)
+        load = Load(known.weight * -seen.R_wo[2], known.com)
+        contact = ContactConfig(friction=grip.friction)
+        thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)
+        return jnp.clip(thumb / finger_shares(FINGERS, grip)[0], grip.force, grip.most)
+
+    def _stop(
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
+    ) -> tuple[GraspState, GraspTick]:
+        """Holds still."""
+        points = to_world(state.closing.contacts, seen)
+        return state, self._did(state.target, points, norm(points.position - measured.pad_pos))
+
+    def _did(
+        self, target: Float[Array, " n"], points: ThreePoints, error: Float[Array, " 3"]
+    ) -> GraspTick:
+        return GraspTick(target, jnp.asarray(False), points, error)
+
+    def _first_stack(
+        self,
+        closer: CloserState,
+        measured: Measured,
+        points: ThreePoints,
+        action: Float[Array, " a"],
+    ) -> Float[Array, "s d"]:
+        """The policy's observations as if all had been as it is now; none without a policy."""
+        if self.policy is None:
+            return jnp.zeros((1, 0))
+        seen = self.policy.observation
+        step = observed_step(self.closer, closer, measured, points, action, seen)
+        return first_stack(step, seen)
+
+    def _action(self, stack: Float[Array, "s d"]) -> Float[Array, " a"]:
+        if self.policy is None:
+            return jnp.zeros(self.closer.action_size)
+        budget = jnp.float32(self.policy.budget)
+        return jnp.clip(
+            self.policy.answer(observation(stack, budget, self.policy.observation)), -1, 1
+        )

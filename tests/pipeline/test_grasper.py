@@ -1,0 +1,309 @@
+"""Laws of the controller of whole grasps: its phases, their transitions, its batches."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scripted import ScriptedPhysics, draw_of, still
+
+from mjx_grasp.closing.closer import Closer
+from mjx_grasp.closing.config import REACTING, CloserConfig, LiftConfig, StageConfig
+from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
+from mjx_grasp.errors import InputError
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.pipeline.config import GrasperConfig
+from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.phases import Failure, Phase
+from mjx_grasp.pipeline.state import Known, Seen
+from mjx_grasp.reaching.config import HandoffGate
+from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.fields import midpoint
+from mjx_grasp.reaching.presets import reach_preset
+from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
+from mjx_grasp.tasks.closing import ClosingTask
+from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+
+HERE = jnp.array([0.5, -0.1, 0.06])
+NEVER, ALWAYS = HandoffGate(midpoint=0.0, late=float("inf")), HandoffGate(midpoint=10.0)
+QUICK = CloserConfig(
+    grip=REACTING,
+    stages=StageConfig(acquisition_s=0.1),
+    lift=LiftConfig(delay_s=0.02, ramp_s=0.01, height=0.01),
+)
+"""All of closing within a few ticks."""
+
+
+@pytest.fixture(scope="module")
+def known(robot):
+    shape = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
+    candidates = cylinder_candidates(*shape, robot.hand.span, around=8, along=3)
+    return Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def make(body, robot):
+    """A grasper whose reaching hands off by a gate; the published controller, few via-points."""
+
+    def made(gate=ALWAYS, closing=QUICK, config=None, policy=None, **controller):
+        settings = reach_preset("paper")
+        fields = replace(settings.reach.fields, via_points=4)
+        control = replace(settings.reach.controller, gate=gate, **controller)
+        reach = replace(settings.reach, fields=fields, controller=control)
+        reacher = Reacher(body, reach, settings.selection)
+        return Grasper.of(reacher, Closer.of(robot, closing), config, policy=policy)
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def feel(robot):
+    """What a robot that stands still measures."""
+    kinematics = measuring_kinematics(robot)
+
+    @jax.jit
+    def measured(q):
+        return measured_from_joints(kinematics, q, jnp.zeros_like(q), jnp.zeros((5, 9)))
+
+    return measured
+
+
+@pytest.fixture(scope="module")
+def home(body, feel):
+    return feel(jnp.asarray(body.home, jnp.float32))
+
+
+def seen(touching=(False, False, False), p=HERE, R=None):
+    R = jnp.eye(3) if R is None else R
+    return Seen(jnp.asarray(p), R, jnp.asarray(touching), jnp.zeros((0, 4)))
+
+
+def ticks(grasper, state, measured, known, what, count):
+    """The state after some ticks of a robot that does not move, and the last tick."""
+
+    @jax.jit
+    def run(state, what):
+        def tick(state, _):
+            return grasper.tick(state, measured, known, what)
+
+        return jax.lax.scan(tick, state, length=count)
+
+    state, done = run(state, what)
+    return state, jax.tree.map(lambda leaf: leaf[-1], done)
+
+
+@pytest.fixture(scope="module")
+def grasper(make):
+    return make()
+
+
+@pytest.fixture(scope="module")
+def tick(grasper, known):
+    return jax.jit(lambda state, measured, what: grasper.tick(state, measured, known, what))
+
+
+@pytest.fixture(scope="module")
+def begun(grasper, tick, home, known):
+    """The state at the handoff, which the gate gives at the first tick."""
+    state, _ = tick(grasper.start(home, known, seen()), home, seen())
+    assert state.phase == Phase.CLOSING and np.isfinite(state.handoff.error).all()
+    return state
+
+
+@pytest.fixture(scope="module")
+def there(begun, home):
+    """Where the object has to be for the pads to be about its contacts."""
+    return midpoint(home.pad_pos) - midpoint(begun.closing.contacts.position)
+
+
+@pytest.fixture(scope="module")
+def closing(begun, tick, home, there):
+    """The state after the first tick of closing, with the object brought to the hand."""
+    state, _ = tick(begun, home, seen(p=there))
+    assert state.phase == Phase.CLOSING and not state.closing.fresh
+    return state
+
+
+def test_time_out_selects_another_candidate_and_then_fails(make, home, known):
+    """The published rules: one re-selection without the first candidate."""
+    grasper = make(gate=NEVER, fine_distance=100.0, fine_timeout=0.05)
+    state = grasper.start(home, known, seen())
+    state, _ = ticks(grasper, state, home, known, seen(), 4)
+    first = int(state.reach.selection.candidate)
+    state, _ = ticks(grasper, state, home, known, seen(), 4)
+    assert state.phase == Phase.REACHING and state.reach.tries == 1
+    assert int(state.reach.selection.candidate) != first
+    assert np.isinf(state.reach.selection.bias[first])
+    state, done = ticks(grasper, state, home, known, seen(), 5)
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.NOT_REACHED)
+    _, later = ticks(grasper, state, home, known, seen(), 3)
+    np.testing.assert_array_equal(later.target, done.target)
+
+
+def test_without_a_candidate_it_says_so(make, home, known):
+    grasper = make(timeout=0.05)
+    none = known._replace(
+        candidates=known.candidates._replace(valid=jnp.zeros_like(known.candidates.valid))
+    )
+    state, _ = ticks(grasper, grasper.start(home, none, seen()), home, none, seen(), 8)
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.NO_CANDIDATE)
+
+
+def test_all_fingers_touching_begin_the_lift(tick, closing, home, there):
+    state, _ = tick(closing, home, seen((True, True, True), there))
+    assert state.phase == Phase.LIFTING
+    assert tick(closing, home, seen((True, True, False), there))[0].phase == Phase.CLOSING
+    np.testing.assert_allclose(state.entered[Phase.LIFTING], state.clock, atol=1e-6)
+
+
+def test_two_fingers_do_later_and_the_lift_ends_at_the_top(grasper, closing, home, known, there):
+    two = seen((True, False, True), there)
+    state, _ = ticks(grasper, closing, home, known, two, 12)
+    assert state.phase == Phase.LIFTING
+    state, _ = ticks(grasper, state, home, known, two, 12)
+    assert state.phase == Phase.HOLDING and state.failure == Failure.NONE
+
+
+def test_without_contact_it_gives_up(make, home, known):
+    grasper = make(config=GrasperConfig(contact_s=0.1, lost=float("inf")))
+    state, _ = ticks(grasper, grasper.start(home, known, seen()), home, known, seen(), 14)
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.NO_CONTACT)
+
+
+def test_everything_has_an_end(make, home, known):
+    grasper = make(gate=NEVER, config=GrasperConfig(timeout_s=0.1))
+    state, _ = ticks(grasper, grasper.start(home, known, seen()), home, known, seen(), 14)
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.TIME_OUT)
+
+
+def test_an_object_that_moves_away_is_reached_for_again(grasper, tick, closing, home, there):
+    near, done = tick(closing, home, seen(p=there))
+    assert near.phase == Phase.CLOSING
+    moved, after = tick(near, home, seen(p=there + jnp.array([0.045, 0.0, 0.0])))
+    assert moved.phase == Phase.CLOSING
+    shift = after.contacts.position - done.contacts.position
+    np.testing.assert_allclose(shift, np.broadcast_to([0.045, 0, 0], (3, 3)), atol=1e-6)
+    away, _ = tick(moved, home, seen(p=there + jnp.array([0.055, 0.0, 0.0])))
+    assert away.phase == Phase.REACHING and away.returns == 1
+    np.testing.assert_array_equal(away.reference, home.q)
+    again, _ = tick(away, home, seen(p=there))
+    assert again.phase == Phase.CLOSING and again.closing.fresh
+    np.testing.assert_allclose(again.reach.clock, grasper.dt, atol=1e-6)
+
+
+def test_after_lift_onset_it_is_lost(tick, closing, home, there):
+    state, _ = tick(closing, home, seen((True, True, True), there))
+    assert state.phase == Phase.LIFTING
+    assert tick(state, home, seen(p=there + 0.03))[0].phase == Phase.LIFTING
+    state, _ = tick(state, home, seen(p=there + 0.05))
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.DROPPED)
+
+
+@pytest.fixture(scope="module")
+def everywhere(grasper, tick, home, known, closing, there):
+    """States of every phase, each with what is measured and seen."""
+    near = seen(p=there)
+    lifting, _ = tick(closing, home, seen((True, True, True), there))
+    holding, _ = ticks(grasper, lifting, home, known, near, 12)
+    failed, _ = tick(lifting, home, seen(p=there + 0.05))
+    rows = [
+        (grasper.start(home, known, seen()), home, seen()),
+        (closing, home, seen((True, False, False), there)),
+        *((state, home, near) for state in (lifting, holding, failed)),
+    ]
+    assert [int(state.phase) for state, *_ in rows] == list(Phase)
+    return rows
+
+
+def close(a, b, atol=2e-5):
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=atol, rtol=1e-4), a, b)
+
+
+def test_a_batch_is_the_map_over_its_robots(grasper, tick, known, everywhere):
+    """In all phases at once, of which each row has its own."""
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *everywhere)
+    mapped = jax.jit(jax.vmap(lambda s, m, w: grasper.tick(s, m, known, w)))(*stacked)
+    for k, row in enumerate(everywhere):
+        alone = tick(*row)
+        # The solver of reaching is an iteration that ends early.
+        atol = 2e-3 if k == Phase.REACHING else 2e-5
+        close(jax.tree.map(lambda leaf, k=k: leaf[k], mapped), alone, atol)
+
+
+@pytest.mark.parametrize("phase", list(Phase)[1:], ids=lambda phase: phase.name.lower())
+def test_compiled_is_as_written(grasper, tick, known, everywhere, phase):
+    state, measured, what = everywhere[phase]
+    with jax.disable_jit():
+        written = grasper.tick(state, measured, known, what)
+    close(written, tick(state, measured, what), atol=1e-4)
+
+
+def test_turning_the_world_about_the_first_joint_changes_nothing(grasper, tick, feel, home, known):
+    """Of what follows a handoff; reaching also knows that joint's limits and the table's place."""
+    angle = 0.3
+    R = so3.exp(jnp.array([0.0, 0.0, angle]))
+    commands = []
+    for q, what in ((home.q, seen()), (home.q.at[0].add(angle), seen(p=R @ HERE, R=R))):
+        measured = feel(q)
+        state, _ = tick(grasper.start(measured, known, what), measured, what)
+        moved = midpoint(measured.pad_pos) - what.R_wo @ midpoint(state.closing.contacts.position)
+        what = what._replace(p_wo=moved)
+        for _ in range(3):
+            state, done = tick(state, measured, what)
+        commands.append((done.target - q, done.tip_error))
+    close(*commands, atol=1e-4)
+
+
+def test_closing_is_that_of_the_task_in_which_policies_are_trained(
+    make, known, starts, scene, robot
+):
+    """The same observations, so the same actions and commands, tick by tick."""
+    config = ClosingTaskConfig(
+        grip=REACTING, observation=ObservationConfig(forces=True, budget=True)
+    )
+    rows, length = jnp.array([0, 4, 8]), 12
+    script = still(starts, rows, length)
+    rng = np.random.default_rng(0)
+    script.measured.q[:] += rng.normal(size=script.measured.q.shape) * 0.003
+    script.measured.external_torque[:] += (
+        rng.normal(size=script.measured.external_torque.shape) * 0.05
+    )
+    script.truth.tip_found[4:, :, 0] = script.truth.tip_found[7:] = True
+    task = ClosingTask(ScriptedPhysics(scene, script), starts, config, StartNoise(offset_m=0.0))
+    state, obs = task.start(draw_of(rows))
+    size = obs["state"].shape[-1]
+    weights = jnp.asarray(rng.normal(size=(size, task.action_size)) * 0.1, jnp.float32)
+    answer = lambda obs: jnp.tanh(obs @ weights)  # noqa: E731
+    grasper = make(closing=config, policy=LearnedPolicy(answer, config.observation, budget=3.0))
+
+    @jax.jit
+    @jax.vmap
+    def begun(measured, targets):
+        state = grasper.start(measured, known, seen(p=jnp.zeros(3)))
+        closing = state.closing._replace(contacts=targets)
+        return state._replace(phase=jnp.int32(Phase.CLOSING), closing=closing)
+
+    @jax.jit
+    @jax.vmap
+    def tick(state, measured, touching):
+        return grasper.tick(state, measured, known, seen(touching, p=jnp.zeros(3)))
+
+    of = jax.tree.map(lambda leaf: leaf[rows], (starts.measured, starts.targets, starts.truth))
+    mine, advance = begun(*of[:2]), jax.jit(task.tick)
+    measured, touching = of[0], of[2].tip_found
+    order = np.argsort(scene.addresses.robot_ctrl)
+    for _ in range(length):
+        state, out = advance(state, answer(obs["state"]))
+        obs = out.obs
+        mine, done = tick(mine, measured, touching)
+        np.testing.assert_allclose(done.target[:, order], state.physics.ctrl, atol=1e-5)
+        measured, touching = state.measured, state.truth.tip_found
+    assert state.closer.lifting.all() and mine.closing.closer.lifting.all()
+
+
+def test_periods_have_to_be_the_same(make):
+    with pytest.raises(InputError, match="control_dt"):
+        make(closing=replace(QUICK, control_dt=0.02))

@@ -25,7 +25,7 @@ from mjx_grasp.closing.forces import (
     tip_forces,
 )
 from mjx_grasp.closing.guidance import goal_frame, guidance_field, way_left
-from mjx_grasp.closing.joints import DrivenJoints, driven_joints
+from mjx_grasp.closing.joints import DrivenJoints, action_size, driven_joints
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
@@ -53,7 +53,9 @@ class CloserState(NamedTuple):
     observed: Bool[Array, "*b f"]
     """contact flags of the observer"""
     level: Float[Array, "*b"]
-    """F, the grip's force per finger [N]"""
+    """F, the grip's force per finger, before the policy's factor [N]"""
+    trim: Float[Array, "*b"]
+    """logarithm of that factor, as a share of its range, in ±1"""
     landed: Bool[Array, "*b f"]
     """whether a finger has ever touched"""
     grip_ticks: Int[Array, "*b f"]
@@ -82,8 +84,8 @@ class Closer:
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action: finger residuals, then arm residuals."""
-        return len(self.joints.at.fingers) + len(self.joints.at.arm_policy)
+        """Numbers of an action: finger residuals, arm residuals, then the grip's force."""
+        return action_size(self.joints.at, self.config.action)
 
     def start(self, measured: Measured, targets: ThreePoints) -> CloserState:
         """The state at the handoff.
@@ -107,6 +109,7 @@ class Closer:
             observer=initial_observer(batch, len(at.grasping), fingers),
             observed=none,
             level=jnp.full(batch, self.config.grip.force),
+            trim=jnp.zeros(batch),
             landed=none,
             grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),
             lifting=no,
@@ -197,7 +200,9 @@ class Closer:
             state.hold, q, rates, by_force, dt, config.guidance, config.grip.follow
         )
         share = stages.grip_share(state.grip_ticks * dt, config.grip)
-        force = state.level[..., None] * finger_shares(q.shape[-2], config.grip) * share
+        trim = control.update_trim(state.trim, action, config.action)
+        state = state._replace(trim=trim)
+        force = self.grip_force(state)[..., None] * finger_shares(q.shape[-2], config.grip) * share
         press = press_directions(measured.pad_pos, targets.normal, config.grip)
         torque = control.grip_torques(jacobian, press, force)
         residual = control.update_residual(state.residual, action[..., :fingers], dt, config.action)
@@ -205,7 +210,8 @@ class Closer:
         speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
         palm = control.palm_jacobian(measured, at.arm_policy)
         arm_rates = control.lift_rates(palm, speed, config.lift)
-        arm_rates = arm_rates + config.action.arm_rate * action[..., fingers:]
+        arm_action = action[..., fingers : fingers + len(at.arm_policy)]
+        arm_rates = arm_rates + config.action.arm_rate * arm_action
         moved = state.arm.at[..., at.arm_policy].add(arm_rates * dt)
         arm = jnp.clip(moved, *joints.limits[at.arm].T)
 
@@ -227,6 +233,10 @@ class Closer:
             state.goal_mat,
             self.config.guidance,
         )
+
+    def grip_force(self, state: CloserState) -> Float[Array, "*b"]:
+        """F as it is commanded: the level times the policy's factor [N]."""
+        return state.level * self.config.action.grip_range**state.trim
 
     def forces(self, state: CloserState, measured: Measured) -> Float[Array, "*b f 3"]:
         """Force of the object on each fingertip, estimated from joint torques [N], world frame.

@@ -23,6 +23,14 @@ class ActionConfig(Settings):
     """share of the leaky residual that survives a tick [-]"""
     limit: NonNegative = 0.25
     """bound of the leaky residual [rad]"""
+    grip_range: Positive = 1.0
+    """factor on the grip's force at action 1, its inverse at −1, in one action more, smoothed as
+    the leaky residuals are; 1 for no such action [-]"""
+
+    @property
+    def of_grip(self) -> bool:
+        """Whether there is an action on the grip's force."""
+        return self.grip_range != 1.0
 
 
 @dataclass(frozen=True)

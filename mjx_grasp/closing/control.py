@@ -81,6 +81,15 @@ def update_residual(
     return jnp.clip(kept, -config.limit, config.limit)
 
 
+def update_trim(
+    trim: Float[Array, "*b"], action: Float[Array, "*b k"], config: ActionConfig
+) -> Float[Array, "*b"]:
+    """The policy's share in the grip's force after an action, in ±1; its last number says it."""
+    if not config.of_grip:
+        return trim
+    return config.keep * trim + (1.0 - config.keep) * jnp.clip(action[..., -1], -1.0, 1.0)
+
+
 def hold_until_landed(
     hold: Float[Array, "*b f j"],
     q: Float[Array, "*b f j"],

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from mjx_grasp.closing.config import ActionConfig
 from mjx_grasp.robot.indices import RobotIndices, robot_indices
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
@@ -24,6 +25,11 @@ class DrivenJoints(NamedTuple):
     """of all joints of the three fingers, finger by finger [N m]"""
     damping: Float[np.ndarray, " g"]
     """of the same joints [N m s/rad]"""
+
+
+def action_size(at: RobotIndices, config: ActionConfig) -> int:
+    """With how many numbers a policy of the robot answers."""
+    return len(at.fingers) + len(at.arm_policy) + config.of_grip
 
 
 def driven_joints(robot: RobotSpec) -> DrivenJoints:

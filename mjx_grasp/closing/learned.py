@@ -65,7 +65,7 @@ def observed_step(
     if not config.forces:
         return step
     load = closer.load(state, measured, targets)
-    return jnp.concatenate([step, felt(*load, state.level)], axis=-1)
+    return jnp.concatenate([step, felt(*load, closer.grip_force(state))], axis=-1)
 
 
 def first_stack(step: Float[Array, "*b d"], config: ObservationConfig) -> Float[Array, "*b s d"]:

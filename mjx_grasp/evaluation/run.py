@@ -67,7 +67,7 @@ def load_controller(path: Path, robot: RobotSpec) -> Policy:
         raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
     sizes, fitting = (
         (policy.observation_size, policy.action_size),
-        policy_sizes(robot, policy_task(policy).observation),
+        policy_sizes(robot, policy_task(policy)),
     )
     if sizes != fitting:
         names = "observation_size, action_size = "

@@ -285,6 +285,7 @@ class ClosingTask:
         if not self._with_privileged:
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
+        force = self.closer.grip_force(closer)
         critic = privileged(
             proprio,
             measured,
@@ -299,7 +300,11 @@ class ClosingTask:
                 jnp.linalg.norm(in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
                 state.params.friction,
                 state.params.mass_scale,
-                *((closer.level * 0.2, episode.budget * 0.2) if self._feels else ()),
+                *(
+                    (self.closer.grip_force(closer) * 0.2, episode.budget * 0.2)
+                    if self._feels
+                    else ()
+                ),
             ),
         )
         return {"state": proprio, "privileged_state": critic}

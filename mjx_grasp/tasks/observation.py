@@ -5,19 +5,21 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mjx_grasp.closing.learned import ObservationConfig
+from mjx_grasp.closing.joints import action_size
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.physics import Truth
+from mjx_grasp.tasks.config import ClosingTaskConfig
 
 
-def policy_sizes(robot: RobotSpec, config: ObservationConfig) -> tuple[int, int]:
-    """How many numbers a policy of the robot reads, and with how many it answers."""
+def policy_sizes(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[int, int]:
+    """How many numbers a policy of the task reads, and with how many it answers."""
     joints, fingers = len(robot.hand.policy_joints), len(robot.hand.fingers)
-    actions = joints + len(robot.arm.policy_joints)
-    step = 2 * joints + actions + config.forces * (2 * fingers + 1)
-    return len(config.ticks_ago) * step + config.budget, actions
+    actions, seen = action_size(robot_indices(robot), config.action), config.observation
+    step = 2 * joints + actions + seen.forces * (2 * fingers + 1)
+    return len(seen.ticks_ago) * step + seen.budget, actions
 
 
 def privileged(

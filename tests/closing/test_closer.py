@@ -348,6 +348,27 @@ def test_every_joint_of_a_finger_feels_what_parallel_ones_cannot(robot, starts, 
     assert jnp.linalg.norm(some.forces(pressed, measured)[finger]) < 0.1
 
 
+def test_an_action_scales_the_grips_force_within_its_range(robot, starts):
+    """Smoothly, from the level up to its range and down to the inverse; without a range, not."""
+    measured, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
+    closer = Closer.of(robot, CloserConfig(action=ActionConfig(grip_range=3.0)))
+    assert closer.action_size == Closer.of(robot).action_size + 1
+    act = jax.jit(closer.act)
+    for way in (1.0, -1.0):
+        state = closer.start(measured, targets)
+        action = jnp.zeros(closer.action_size).at[-1].set(5.0 * way)  # beyond what it may be
+        forces = [float(closer.grip_force(state))]
+        for _ in range(60):
+            state, _ = act(state, measured, targets, action)
+            forces.append(float(closer.grip_force(state)))
+        change = np.diff(np.log(forces)) * way
+        assert (change[:20] > 0).all() and (np.diff(change[:20]) < 0).all()
+        np.testing.assert_allclose(forces[-1], forces[0] * 3.0**way, rtol=1e-4)
+    plain = Closer.of(robot)
+    state, _ = plain.act(plain.start(measured, targets), measured, targets, jnp.ones(15))
+    assert plain.grip_force(state) == state.level
+
+
 def test_joints_that_closing_does_not_move_never_move(walk, ran, at):
     """Idle fingers, the finger joints that a policy leaves alone, the arm's last joint."""
     moved = np.concatenate([at.fingers, at.arm_policy])

@@ -5,7 +5,6 @@ import pytest
 from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import ActionConfig, GripConfig, GuidanceConfig
-from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
@@ -50,7 +49,7 @@ def lifting_script(starts, rows, contact_tick=20, rise_tick=60, ticks=TICKS):
 
 def test_observation_has_66_numbers_and_actions_15(scene, starts):
     task = scripted_task(scene, starts, still(starts, [0], 2))
-    assert policy_sizes(scene.robot, ObservationConfig()) == (66, task.action_size) == (66, 15)
+    assert policy_sizes(scene.robot, task.config) == (66, task.action_size) == (66, 15)
     _, obs = task.start(draw_of([0]))
     assert obs["state"].shape == (1, 66)
     plain = scripted_task(scene, starts, still(starts, [0], 2), with_privileged=False)

@@ -141,7 +141,7 @@ def test_policies_see_what_their_task_says(scene, starts, seen, size):
     config = ClosingTaskConfig(grip=REACTING, observation=seen)
     task = ClosingTask(ScriptedPhysics(scene, still(starts, [0, 1], 3)), starts, config)
     state, obs = task.start(draw_of([0, 1])._replace(budget=jnp.array([2.0, 4.0])))
-    assert obs["state"].shape == (2, size) == (2, policy_sizes(scene.robot, seen)[0])
+    assert obs["state"].shape == (2, size) == (2, policy_sizes(scene.robot, config)[0])
     _, tick = task.tick(state, jnp.zeros((2, 15)))
     assert tick.obs["state"].shape == (2, size)
     if seen.budget:

@@ -300,11 +300,7 @@ class ClosingTask:
                 jnp.linalg.norm(in_palm(measured, truth) - episode.object_in_palm, axis=-1) * 20.0,
                 state.params.friction,
                 state.params.mass_scale,
-                *(
-                    (self.closer.grip_force(closer) * 0.2, episode.budget * 0.2)
-                    if self._feels
-                    else ()
-                ),
+                *((force * 0.2, episode.budget * 0.2) if self._feels else ()),
             ),
         )
         return {"state": proprio, "privileged_state": critic}

@@ -11,8 +11,6 @@ from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.scene import Scene
 
-MOST_WORLDS = 8192
-"""Beyond this more worlds no longer make a training faster (README, table of speed)."""
 _COPIES = 3
 """State before and after a step, and the temporary one while XLA swaps them."""
 _TRANSITION_NUMBERS = 900
@@ -29,12 +27,10 @@ def bytes_per_world(scene: Scene, unroll: int) -> int:
     return _COPIES * state + fields + 4 * _TRANSITION_NUMBERS * unroll
 
 
-def worlds_that_fit(
-    scene: Scene, ppo: PPOConfig, memory_bytes: int, most: int = MOST_WORLDS
-) -> int:
-    """The largest power of two of worlds that four fifths of the memory hold, at most `most`."""
+def worlds_that_fit(scene: Scene, ppo: PPOConfig, memory_bytes: int) -> int:
+    """The worlds that are asked for, or the power of two that four fifths of the memory hold."""
     fit = int(0.8 * memory_bytes / bytes_per_world(scene, ppo.unroll))
-    return min(most, 2 ** int(math.log2(max(fit, ppo.minibatches))))
+    return min(ppo.worlds, 2 ** int(math.log2(max(fit, ppo.minibatches))))
 
 
 def device_memory() -> int:

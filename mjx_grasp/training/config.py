@@ -56,8 +56,8 @@ class TrainConfig(ObjectsConfig):
     seed: Seed = 0
     """of start states, parameters and exploration; on a GPU a run does not quite repeat itself"""
     fit_memory: bool = False
-    """take as many worlds as the device's memory holds, 8,192 at most: beyond that a training is no
-    faster; off where --ppo.worlds is given"""
+    """take fewer worlds than --ppo.worlds where the device's memory does not hold them; off where
+    that is given"""
     evaluation_episodes: WholeNumber = 64
     """episodes per object after training, for policy, untrained policy and squeeze; 0 for none"""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -68,17 +68,19 @@ class TrainConfig(ObjectsConfig):
 
 
 FEELING = TaskConfig(
+    action=ActionConfig(grip_range=3.0),
     grip=replace(REACTING, force=1.5),
     observation=ObservationConfig(forces=True, budget=True),
-    reward=RewardConfig(held=4.0, over_budget=-2.0, hard=-0.2),
+    reward=RewardConfig(held=4.0, over_budget=-1.0, hard=-0.2),
 )
-"""A policy that senses forces and keeps to a budget of them, on a grip that answers to load."""
+"""A policy that senses forces and keeps to a budget of them: it moves the fingers of a grip that
+answers to load, and scales its force."""
 VARIED = StartNoise(
     offset_m=0.01,
     angle_rad=math.radians(5.0),
     friction=(0.4, 1.0),
     mass_scale=(0.8, 1.25),
-    budget_n=(1.0, 4.0),
+    budget_n=(1.5, 6.0),
 )
 """What its training draws anew at each reset."""
 
@@ -106,7 +108,7 @@ def preset_config(preset: str) -> TrainConfig:
                 worlds=128,
                 unroll=32,
                 iterations=300,
-                action_std=0.2,
+                action_std=0.15,
                 critic_rate=1e-3,
                 value_clip=0.5,
             ),
@@ -115,10 +117,10 @@ def preset_config(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="gpu",
             fit_memory=True,
-            scene=SceneConfig(fix_idle_fingers=True),
+            scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
             task=FEELING,
             noise=VARIED,
-            ppo=PPOConfig(unroll=16, iterations=240, critic_rate=1e-3, value_clip=0.5),
+            ppo=PPOConfig(iterations=470, action_std=0.15, critic_rate=3e-4, value_clip=0.5),
         )
     if preset == "paper":
         return TrainConfig(

@@ -20,13 +20,13 @@ def test_a_world_takes_more_with_a_longer_rollout(scene, per_world):
 
 @pytest.mark.parametrize("gib", [1, 2, 5, 16, 80])
 def test_worlds_fit_and_are_a_power_of_two(scene, per_world, gib):
-    worlds = memory.worlds_that_fit(scene, PPOConfig(unroll=16), gib * GIB, most=2**30)
+    worlds = memory.worlds_that_fit(scene, PPOConfig(worlds=2**30, unroll=16), gib * GIB)
     assert worlds & (worlds - 1) == 0 and worlds % PPOConfig.minibatches == 0
     assert worlds * per_world <= 0.8 * gib * GIB < 2 * worlds * per_world
 
 
 def test_bounds_on_both_sides(scene):
-    assert memory.worlds_that_fit(scene, PPOConfig(unroll=16), 10**15) == memory.MOST_WORLDS
+    assert memory.worlds_that_fit(scene, PPOConfig(worlds=12), 10**15) == 12
     for minibatches in (4, 32):
         ppo = PPOConfig(unroll=16, minibatches=minibatches, worlds=minibatches)
         assert memory.worlds_that_fit(scene, ppo, 1) == minibatches

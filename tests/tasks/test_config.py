@@ -220,6 +220,7 @@ def test_a_run_of_the_first_version_keeps_its_task(tmp_path):
 TASK_OF_PAPER = {"action.residual": "integrated", "lift.delay_s": 0.0, "grip.together": False}
 """What the publication has otherwise than our default."""
 TASK_THAT_FEELS = {
+    "action.grip_range": 3.0,
     "grip.force": 1.5,
     "grip.split": "balanced",
     "grip.direction": "line",
@@ -228,7 +229,7 @@ TASK_THAT_FEELS = {
     "observation.forces": True,
     "observation.budget": True,
     "reward.held": 4.0,
-    "reward.over_budget": -2.0,
+    "reward.over_budget": -1.0,
     "reward.hard": -0.2,
 }
 """What a policy that feels has otherwise."""

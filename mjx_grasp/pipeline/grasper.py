@@ -312,7 +312,8 @@ class Grasper:
         if grip.friction is None:
             return jnp.float32(grip.force)
         of = jax.tree.map(lambda leaf: leaf[plan.candidate], known.candidates)
-        position = three_points(of.thumb, of.centre, plan.spread, targets)
+        centre = known.candidates.centre[plan.candidate]
+        position = three_points(of.thumb, centre, plan.spread, targets)
         load = Load(known.weight * -seen.R_wo[2], known.com)
         contact = ContactConfig(friction=grip.friction)
         thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)

@@ -73,9 +73,7 @@ def _add_skin(spec: mujoco.MjSpec, body: mujoco.MjsBody, skin: Skin) -> None:
         usertexcoord=coordinates.ravel(),
     )
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="skin", material="scale", **_ONLY_SEEN
-    )
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="skin", material="scale", **_ONLY_SEEN)
 
 
 def _add_mark(

@@ -33,12 +33,12 @@ def whole_grasps(preset: str = "default") -> ReachPreset:
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
-    last, by the same bounds as in the making of start states.
+    last: the farther short, the later.
     """
     settings = reach_preset(preset)
     if settings.plan is None:
         return settings
-    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.022))
+    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.008))
 
 
 def grasper_of(

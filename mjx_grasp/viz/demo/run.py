@@ -31,7 +31,7 @@ from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.records.atomic import check_writable, replacing, write_json
+from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
@@ -85,13 +85,13 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         InputError, GroundingError, FileError: A setting or file that cannot work; nothing is
             written then.
     """
-    for name in ("grasp.mp4", "result.json", "index.html"):
-        check_writable("--out", config.out / name)
+    check_new_folder("--out", config.out)
     made, robot = provenance(config.seed), load_robot(config.robot)
     grasper = loaded_grasper(robot, config.policy)
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     anchor, source = _anchor(obj, config)
+    config.out.mkdir(parents=True, exist_ok=True)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
         with clock.step("heatmap"):

@@ -17,7 +17,7 @@ from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Seed
 class DemoConfig(CommandSettings):
     """One grasp from home, from a mesh and an instruction to a film and a page."""
 
-    object: Annotated[str, tyro.conf.Positional] = "mustard_bottle"
+    object: Annotated[str, tyro.conf.Positional] = "tomato_soup_can"
     """an object of the catalogue, or a mesh of your own (.obj, .ply, .stl, .glb, .off; metres)"""
     instruction: str | None = None
     """which part or side of it: "by the cap"; by default anywhere good"""
@@ -45,6 +45,11 @@ class DemoConfig(CommandSettings):
         Weight(self.mass, self.density)  # refuses both
         if self.instruction is not None and self.anchor is not None:
             raise InputError("--instruction and --anchor", "both", "one of them at most")
+
+    @property
+    def steers(self) -> bool:
+        """Whether it is said where to grasp."""
+        return self.instruction is not None or self.anchor is not None
 
     @property
     def weight(self) -> Weight:

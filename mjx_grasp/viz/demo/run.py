@@ -87,7 +87,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     """
     check_new_folder("--out", config.out)
     made, robot = provenance(config.seed), load_robot(config.robot)
-    grasper = loaded_grasper(robot, config.policy)
+    grasper = loaded_grasper(robot, config.policy, steered=config.steers)
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     anchor, source = _anchor(obj, config)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.sim.scene import OBJECT_BODY, Scene, scene_spec
+from mjx_grasp.sim.scene import OBJECT_BODY, TABLE_GEOM, Scene, scene_spec
 from mjx_grasp.viz.heatmap import ANCHOR, THUMB, WRAP
 
 FOCUS = "in_the_hand"
@@ -18,7 +18,7 @@ _SHADES = 256
 _AHEAD_M = 0.10  # of the palm, where the fingers are
 _FLOOR_M = -0.35
 _MARK_M, _ANCHOR_M = 0.0045, 0.0060
-_HIDDEN_GROUP = 5
+_TABLE, _FLOOR = [0.86, 0.83, 0.79, 1.0], [0.93, 0.94, 0.96, 1.0]
 
 
 class Skin(NamedTuple):
@@ -49,6 +49,7 @@ def stage_model(scene: Scene, skin: Skin) -> mujoco.MjModel:
         _add_mark(body, point, colour, _MARK_M)
     if skin.anchor is not None:
         _add_mark(body, skin.anchor, ANCHOR, _ANCHOR_M)
+    spec.geom(TABLE_GEOM).rgba = _TABLE
     _add_floor(spec)
     palm = spec.body(scene.robot.hand.palm_body)
     palm.add_body(name=FOCUS, pos=[_AHEAD_M * float(x) for x in scene.robot.hand.approach_axis])
@@ -96,7 +97,7 @@ def _add_floor(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[6, 6, 0.1],
         pos=[0, 0, _FLOOR_M],
-        rgba=[0.80, 0.82, 0.85, 1.0],
+        rgba=_FLOOR,
         **_ONLY_SEEN,
     )
 

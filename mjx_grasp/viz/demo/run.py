@@ -45,6 +45,7 @@ from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subproce
 
 SCHEMA = "mjx_grasp.demo/1"
 _STEPS = 6
+_BRIGHTEST = 0.99
 
 
 class Steered(NamedTuple):
@@ -57,6 +58,13 @@ class Steered(NamedTuple):
     """object frame [m]"""
     source: str
     """of the anchor, in words"""
+
+    @property
+    def shade(self) -> Float[np.ndarray, " v"]:
+        """Scores as they are coloured: the best hundredth has the brightest, void is NaN."""
+        valid = np.asarray(self.heatmap.valid)
+        top = max(float(np.quantile(self.score[valid], _BRIGHTEST)), 1e-6)
+        return np.where(valid, np.minimum(self.score / top, 1.0), np.nan)
 
 
 class _Clock:
@@ -184,7 +192,7 @@ def _film(
     skin = Skin(
         np.asarray(steered.heatmap.vertices, np.float64),
         np.asarray(surface.faces),
-        np.where(np.asarray(steered.heatmap.valid), steered.score, 0.0),
+        np.nan_to_num(steered.shade),
         contacts,
         steered.anchor,
     )
@@ -207,7 +215,7 @@ def _subject(obj: ObjectModel, steered: Steered, contacts: Float[np.ndarray, "3 
         vertices=np.asarray(heatmap.vertices, np.float64),
         faces=np.asarray(heatmap_surface(obj.mesh).faces),
         normals=np.asarray(heatmap.normals, np.float64),
-        score=np.where(np.asarray(heatmap.valid), steered.score, np.nan),
+        score=steered.shade,
         thumb=contacts[0],
         wrap=contacts[1:],
         anchor=steered.anchor,

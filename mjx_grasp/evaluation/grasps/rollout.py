@@ -230,13 +230,13 @@ def _planned(
     rows: Int[np.ndarray, " k"],
 ) -> Ways | None:
     """Plans of some worlds, a few at a time in one compiled size."""
-    parts = []
-    for first in range(0, len(rows), _PLANS_AT_ONCE):
-        some = rows[np.minimum(np.arange(first, first + _PLANS_AT_ONCE), len(rows) - 1)]
+    parts, size = [], min(_PLANS_AT_ONCE, len(q))
+    for first in range(0, len(rows), size):
+        some = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]
         keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(jnp.asarray(some))
         given = jax.tree.map(lambda leaf, some=some: leaf[some], (known, seen, q, avoid))
         part = _plan(grasper, library, *given, keys)
-        kept = min(_PLANS_AT_ONCE, len(rows) - first)
+        kept = min(size, len(rows) - first)
         parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 

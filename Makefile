@@ -11,12 +11,13 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed-$(subst $(comma),-,$(EXTRAS))
 SOURCES := mjx_grasp tests experiments benchmarks examples
 
-.PHONY: help setup train test test-long lint format readme revision clean
+.PHONY: help setup train demo test test-long lint format readme revision clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make train      set up, train the preset of this hardware, evaluate, write a report"
 	@echo "                (ARGS='--preset paper' passes arguments on)"
+	@echo "make demo       set up, grasp a can by its top, write demo/index.html"
 	@echo "make test       set up and run the tests; make test-long runs those that take minutes"
 	@echo "make setup      make the environment in .venv (EXTRAS=$(EXTRAS), PYTHON=$(PYTHON))"
 	@echo "make lint       style and types"
@@ -35,6 +36,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 train: setup
 	$(BIN)/python -m mjx_grasp.train $(ARGS)
+
+demo: setup
+	$(BIN)/python -m mjx_grasp.demo --instruction "near the top" --out demo $(ARGS)
 
 test: setup
 	$(BIN)/python -m pytest $(TEST_FLAGS) $(ARGS)

@@ -59,6 +59,16 @@ from mjx_grasp.reaching.planning import start_library as start_library
 from mjx_grasp.closing.closer import Closer as Closer
 from mjx_grasp.closing.config import CloserConfig as CloserConfig
 
+# Whole grasps
+from mjx_grasp.pipeline.assemble import grasper_of as grasper_of
+from mjx_grasp.pipeline.assemble import known_object as known_object
+from mjx_grasp.pipeline.assemble import whole_grasps as whole_grasps
+from mjx_grasp.pipeline.config import GrasperConfig as GrasperConfig
+from mjx_grasp.pipeline.grasper import Grasper as Grasper
+from mjx_grasp.pipeline.state import Known as Known
+from mjx_grasp.pipeline.state import Seen as Seen
+from mjx_grasp.closing.learned import LearnedPolicy as LearnedPolicy
+
 # Handoffs
 from mjx_grasp.handoff.dataset import load_handoffs as load_handoffs
 from mjx_grasp.handoff.make import make_handoffs as make_handoffs
@@ -72,6 +82,7 @@ from mjx_grasp.learning.brax_env import BraxTask as BraxTask
 from mjx_grasp.learning.policy import load_policy as load_policy
 
 # Evaluation and training
+from mjx_grasp.evaluation.grasps.rollout import grasp_all as grasp_all
 from mjx_grasp.evaluation.config import EvaluateConfig as EvaluateConfig
 from mjx_grasp.evaluation.job import evaluate_to_file as evaluate_to_file
 from mjx_grasp.evaluation.trials import run_trials as run_trials

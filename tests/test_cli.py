@@ -25,7 +25,7 @@ def source(command):
 
 def test_the_commands_are_known():
     assert [
-        *("evaluate", "handoffs", "heatmaps", "sweep_reach", "train", "view", "viz.video"),
+        *("demo", "evaluate", "handoffs", "heatmaps", "sweep_reach", "train", "view", "viz.video"),
     ] == COMMANDS
 
 

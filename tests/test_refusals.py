@@ -22,11 +22,14 @@ from mjx_grasp.records.settings import _hints, to_record
 from mjx_grasp.tasks import assemble
 from mjx_grasp.training.config import TrainConfig, preset_config
 from mjx_grasp.viz import heatmap_folder, rendering, viewing
+from mjx_grasp.viz.demo import run as demonstrating
+from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.heatmap_folder import HeatmapsConfig
 from mjx_grasp.viz.rendering import VideoConfig
 from mjx_grasp.viz.viewing import ViewConfig
 
 COMMANDS = {
+    "demo": (DemoConfig, ()),
     "train": (TrainConfig, ("--preset", "cpu")),
     "evaluate": (EvaluateConfig, ("--out", "x.json")),
     "handoffs": (HandoffConfig, ("--out", "x.npz")),
@@ -48,6 +51,7 @@ def _nothing_long_begins(monkeypatch):
         (making, "HandoffGenerator"),
         (sweeping, "Reacher"),
         (heatmap_folder, "heatmap_of_mesh"),
+        (demonstrating, "heatmap_of"),
         (viewing, "Viewer"),
         (viewing, "heatmap_of_mesh"),
         (rendering, "_try_backend"),

@@ -26,19 +26,28 @@ from mjx_grasp.robot.spec import RobotSpec
 
 CANDIDATES = 256
 """Of a heatmap, the best, among which reaching chooses."""
+_STEERED_SCORE = 0.5
 _GRAVITY = 9.81  # m/s²
 
 
-def whole_grasps(preset: str = "default") -> ReachPreset:
+def whole_grasps(preset: str = "default", steered: bool = False) -> ReachPreset:
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
-    last, by the same bounds as in the making of start states.
+    last: the farther short, the later.
+
+    Args:
+        preset: What it is made from.
+        steered: Whether the candidates' scores are those of an anchor: then only those are used
+            that it raises to half of the best, or reach would decide in its place.
     """
     settings = reach_preset(preset)
+    if steered:
+        selection = replace(settings.selection, min_score=_STEERED_SCORE)
+        settings = replace(settings, selection=selection)
     if settings.plan is None:
         return settings
-    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.022))
+    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.008))
 
 
 def grasper_of(

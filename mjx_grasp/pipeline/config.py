@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjx_grasp.records.settings import NonNegative, Positive, PositiveOrNever, Settings
+from mjx_grasp.records.settings import NonNegative, Positive, PositiveOrNever, Settings, WholeNumber
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,11 @@ class GrasperConfig(Settings):
     back to reaching: the object is elsewhere [m]"""
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
+    retries: WholeNumber = 1
+    """times that a grasp which found no contact or lost the object is begun again, away from its
+    thumb's contact [-]"""
+    avoided: NonNegative = 0.020
+    """that far [m]"""
     dropped: PositiveOrNever = 0.060
     """displacement of the object in the palm since lift onset from which it is lost [m]"""
     timeout_s: PositiveOrNever = 20.0

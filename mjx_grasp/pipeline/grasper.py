@@ -105,6 +105,7 @@ class Grasper:
         seen: Seen,
         q: Float[Array, " n"],
         key: Array,
+        avoid: Float[Array, " 3"] | None = None,
     ) -> Ways | None:
         """Ways to grasp the object where it is; an event, much dearer than a tick.
 
@@ -114,13 +115,18 @@ class Grasper:
             seen: Where it is, and what is in the way.
             q: Measured joint positions [rad].
             key: Of what is tried at random.
+            avoid: Thumb contact of a grasp that has failed, `GraspState.avoid`.
         """
         if self.planner is None:
             return None
         still = jnp.zeros((len(seen.obstacles), 3))
         around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo)
         around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
-        plans = self.planner.search(library, known.candidates, around, q, key).plans
+        candidates = known.candidates
+        if avoid is not None:
+            away = norm(candidates.thumb - avoid) >= self.config.avoided
+            candidates = candidates._replace(valid=candidates.valid & away)
+        plans = self.planner.search(library, candidates, around, q, key).plans
         return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
 
     def start(
@@ -142,6 +148,8 @@ class Grasper:
             clock=jnp.float32(0.0),
             entered=phases.at[Phase.REACHING].set(0.0),
             returns=jnp.int32(0),
+            retries=jnp.int32(0),
+            avoid=jnp.full(3, jnp.inf),
             reach=self._start_reach(measured, known, seen, ways),
             ways=ways,
             reference=measured.q,
@@ -262,11 +270,15 @@ class Grasper:
         displaced = norm(in_palm - kept)
         elsewhere = norm(midpoint(measured.pad_pos) - midpoint(points.position))
         top = closer.lift_tick * self.dt >= stages.lift_duration(self.closer.config.lift)
-        goes_back = ~closer.lifting & (elsewhere > config.lost)
-        no_contact = ~closer.lifting & (closer.tick * self.dt >= config.contact_s)
+        moved = ~closer.lifting & (elsewhere > config.lost)
+        no_contact = ~closer.lifting & ~moved & (closer.tick * self.dt >= config.contact_s)
         lost = closer.lifting & (displaced > config.dropped)
+        retries = (lost | no_contact) & (state.retries < config.retries)
+        goes_back = moved | retries
         reason = jnp.select(
-            [lost, no_contact & ~goes_back], [Failure.DROPPED, Failure.NO_CONTACT], Failure.NONE
+            [goes_back, lost, no_contact],
+            [Failure.NONE, Failure.DROPPED, Failure.NO_CONTACT],
+            Failure.NONE,
         )
         phase = jnp.select(
             [reason != Failure.NONE, goes_back, top, closer.lifting],
@@ -280,6 +292,8 @@ class Grasper:
             phase=phase.astype(jnp.int32),
             failure=reason.astype(jnp.int32),
             returns=state.returns + goes_back,
+            retries=state.retries + retries,
+            avoid=jnp.where(retries, before.contacts.position[0], state.avoid),
             reach=reach,
             reference=measured.q,
             closing=ClosingMemory(
@@ -312,7 +326,8 @@ class Grasper:
         if grip.friction is None:
             return jnp.float32(grip.force)
         of = jax.tree.map(lambda leaf: leaf[plan.candidate], known.candidates)
-        position = three_points(of.thumb, of.centre, plan.spread, targets)
+        centre = known.candidates.centre[plan.candidate]
+        position = three_points(of.thumb, centre, plan.spread, targets)
         load = Load(known.weight * -seen.R_wo[2], known.com)
         contact = ContactConfig(friction=grip.friction)
         thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)

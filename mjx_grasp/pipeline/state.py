@@ -86,7 +86,11 @@ class GraspState(NamedTuple):
     entered: Float[Array, " phases"]
     """clock at which each phase was last entered, NaN if it never was [s]"""
     returns: Int[Array, ""]
-    """times that closing was left for reaching"""
+    """times that the object was reached for again after a handoff"""
+    retries: Int[Array, ""]
+    """of them, after a grasp that failed"""
+    avoid: Float[Array, " 3"]
+    """thumb contact of that grasp, object frame, +inf before the first [m]"""
     reach: ReachState
     ways: Ways | None
     """ways to grasp the object; none without a planner"""

@@ -171,7 +171,7 @@ def build_scene(
     names = [o.name for o in objects]
     if not names or len(set(names)) != len(names):
         raise InputError("objects", names, "one or more objects of different names")
-    model = _compile(objects, robot, config, template=len(objects) > 1)
+    model = scene_spec(objects, robot, config).compile()
     # MuJoCo would take a piece compiled at the body's origin to be there in every world.
     pieces = model.geom_bodyid == model.body(OBJECT_BODY).id
     model.geom_sameframe[pieces] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
@@ -185,16 +185,24 @@ def build_scene(
     )
 
 
-def _compile(
-    objects: Sequence[ObjectModel], robot: RobotSpec, config: SceneConfig, template: bool
-) -> mujoco.MjModel:
+def scene_spec(
+    objects: Sequence[ObjectModel], robot: RobotSpec, config: SceneConfig
+) -> mujoco.MjSpec:
+    """Robot, table and objects before they are compiled, to add things to that are only seen.
+
+    Args:
+        objects: What the free body holds; of several it has a template's inertia.
+        robot: What grasps.
+        config: Physics.
+    """
+    template = len(objects) > 1
     spec = robot_mjspec(robot)
     spec.modelname = "mjx_grasp"
     _set_options(spec, config)
     _add_table(spec, config)
     _add_object_body(spec, objects, config, template)
     _add_force_sensors(spec, robot)
-    return spec.compile()
+    return spec
 
 
 def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
@@ -323,7 +331,7 @@ def _object_fields(
     model: mujoco.MjModel, objects: Sequence[ObjectModel], robot: RobotSpec, config: SceneConfig
 ) -> ObjectFields:
     """Body fields from each object's own compiled scene, piece positions from the union's."""
-    singles = [_compile([o], robot, config, template=False) for o in objects]
+    singles = [scene_spec([o], robot, config).compile() for o in objects]
     owner = np.concatenate([np.full(len(o.pieces), k) for k, o in enumerate(objects)])
     pieces = int(model.body(OBJECT_BODY).geomadr[0]) + np.arange(len(owner))
     geom_pos = np.repeat(model.geom_pos[None], len(objects), axis=0)

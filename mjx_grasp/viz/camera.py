@@ -11,6 +11,9 @@ DISTANCE_M = 0.62
 ELEVATION_DEG = -16.0
 TURN_DEG = 24.0  # how far the camera turns about the focus from the first picture to the last
 _LOOK_ABOVE_FOCUS_M = 0.05
+_LOOK_ABOVE_PAIR_M = 0.02
+_STEP_BACK = 0.8  # of the camera per distance between two bodies
+_TOGETHER_M = 0.16  # between them where it need not step back
 _FOLLOW_S = 0.6  # time over which the camera smooths what it follows
 _AZIMUTHS = 16
 JUDGED_PIXELS = 96  # side of the pictures on which visibility is judged
@@ -20,17 +23,45 @@ def look_at(
     model: Any, poses: Float[np.ndarray, "t nq"], focus: str, fps: float
 ) -> Float[np.ndarray, "t 3"]:
     """Points to look at [m]: the focus body's path, smoothed, so that the camera never jerks."""
-    import mujoco
-    from scipy.ndimage import gaussian_filter1d
+    return _smoothed(_path(model, poses, focus), fps) + np.array([0.0, 0.0, _LOOK_ABOVE_FOCUS_M])
 
-    data, body = mujoco.MjData(model), model.body(focus).id
+
+def follow_both(
+    model: Any, poses: Float[np.ndarray, "t nq"], focus: str, other: str, fps: float
+) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, " t"]]:
+    """Points between two bodies, and distances from which both are seen [m]; smoothed.
+
+    Args:
+        model: The MuJoCo model.
+        poses: One per picture.
+        focus: Name of the body to follow.
+        other: Of the one that is to be seen too.
+        fps: Pictures per second.
+    """
+    one, two = (_path(model, poses, name) for name in (focus, other))
+    gap = np.linalg.norm(one - two, axis=1, keepdims=True)
+    middle = _smoothed(0.5 * (one + two), fps)
+    away = DISTANCE_M + _STEP_BACK * np.maximum(gap - _TOGETHER_M, 0.0)
+    return middle + np.array([0.0, 0.0, _LOOK_ABOVE_PAIR_M]), _smoothed(away, fps)[:, 0]
+
+
+def _path(model: Any, poses: Float[np.ndarray, "t nq"], body: str) -> Float[np.ndarray, "t 3"]:
+    """Where a body is at each pose, world [m]."""
+    import mujoco
+
+    data, number = mujoco.MjData(model), model.body(body).id
     path = np.empty((len(poses), 3))
     for i, qpos in enumerate(poses):
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        path[i] = data.xpos[body]
-    smooth = gaussian_filter1d(path, _FOLLOW_S * fps, axis=0, mode="nearest")
-    return smooth + np.array([0.0, 0.0, _LOOK_ABOVE_FOCUS_M])
+        path[i] = data.xpos[number]
+    return path
+
+
+def _smoothed(path: Float[np.ndarray, "t k"], fps: float) -> Float[np.ndarray, "t k"]:
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(path, _FOLLOW_S * fps, axis=0, mode="nearest")
 
 
 def best_azimuth(

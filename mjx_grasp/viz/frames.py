@@ -43,19 +43,27 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
     """
     try:
         import mujoco
+
+        from mjx_grasp.sim.scene import OBJECT_BODY
     except Exception as error:  # a missing library surfaces as one of several types
         raise BackendError(_first_line(error)) from error
     model = load_model(trajectory)
     _set_visuals(model, width * _SUPERSAMPLING, height * _SUPERSAMPLING)
     poses = trajectory.qpos[_times(len(trajectory.qpos), trajectory.dt, fps)]
-    targets = view.look_at(model, poses, trajectory.focus, fps)
+    held, distance = trajectory.focus, np.full(len(poses), view.DISTANCE_M)
+    others = {model.body(i).name for i in range(model.nbody)} - {trajectory.focus}
+    if OBJECT_BODY not in others:
+        targets = view.look_at(model, poses, trajectory.focus, fps)
+    else:
+        held = OBJECT_BODY
+        targets, distance = view.follow_both(model, poses, trajectory.focus, held, fps)
     try:
-        azimuth = view.best_azimuth(model, poses[-1], trajectory.focus, targets[-1])
+        azimuth = view.best_azimuth(model, poses[-1], held, targets[-1])
         renderer = mujoco.Renderer(model, height * _SUPERSAMPLING, width * _SUPERSAMPLING)
     except Exception as error:
         raise BackendError(_first_line(error)) from error
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
-    camera.distance, camera.elevation = view.DISTANCE_M, view.ELEVATION_DEG
+    camera.elevation = view.ELEVATION_DEG
     turn = np.linspace(-view.TURN_DEG / 2, view.TURN_DEG / 2, len(poses))
     pictures = []
     try:
@@ -64,6 +72,7 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             camera.lookat[:], camera.azimuth = targets[i], azimuth + turn[i]
+            camera.distance = distance[i]
             renderer.update_scene(data, camera)
             _add_key_light(renderer.scene, targets[i], camera.azimuth)
             picture = renderer.render().copy()

@@ -47,8 +47,9 @@ def known(robot):
 @pytest.fixture(scope="module")
 def make(body, robot):
     """A grasper whose reaching hands off by a gate; the published controller, few via-points."""
+    once = GrasperConfig(retries=0)
 
-    def made(gate=ALWAYS, closing=QUICK, config=None, policy=None, **controller):
+    def made(gate=ALWAYS, closing=QUICK, config=once, policy=None, **controller):
         settings = reach_preset("paper")
         fields = replace(settings.reach.fields, via_points=4)
         control = replace(settings.reach.controller, gate=gate, **controller)
@@ -168,7 +169,7 @@ def test_two_fingers_do_later_and_the_lift_ends_at_the_top(grasper, closing, hom
 
 
 def test_without_contact_it_gives_up(make, home, known):
-    grasper = make(config=GrasperConfig(contact_s=0.1, lost=float("inf")))
+    grasper = make(config=GrasperConfig(contact_s=0.1, lost=float("inf"), retries=0))
     state, _ = ticks(grasper, grasper.start(home, known, seen()), home, known, seen(), 14)
     assert (state.phase, state.failure) == (Phase.FAILED, Failure.NO_CONTACT)
 
@@ -199,6 +200,22 @@ def test_after_lift_onset_it_is_lost(tick, closing, home, there):
     assert state.phase == Phase.LIFTING
     assert tick(state, home, seen(p=there + 0.03))[0].phase == Phase.LIFTING
     state, _ = tick(state, home, seen(p=there + 0.05))
+    assert (state.phase, state.failure) == (Phase.FAILED, Failure.DROPPED)
+
+
+def test_a_lost_object_is_tried_again_once_and_elsewhere(make, closing, home, known, there):
+    grasper = make(config=GrasperConfig(retries=1))
+    tick = jax.jit(lambda state, what: grasper.tick(state, home, known, what))
+    gone = seen(p=there + 0.05)
+    state, _ = tick(closing, seen((True, True, True), there))
+    state, _ = tick(state, gone)
+    assert (state.phase, state.failure, state.retries) == (Phase.REACHING, Failure.NONE, 1)
+    np.testing.assert_array_equal(state.avoid, closing.closing.contacts.position[0])
+    state, _ = tick(state, seen(p=there))
+    assert state.phase == Phase.CLOSING
+    state, _ = tick(state, seen(p=there))
+    state, _ = tick(state, seen((True, True, True), there))
+    state, _ = tick(state, gone)
     assert (state.phase, state.failure) == (Phase.FAILED, Failure.DROPPED)
 
 

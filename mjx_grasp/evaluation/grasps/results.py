@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -62,7 +64,8 @@ def grasp_rows(
         trace: What happened on the way.
         dt: Control period [s].
     """
-    classes = {name: np.asarray(flags) for name, flags in failure_classes(end.progress).items()}
+    progress = jax.tree.map(jnp.asarray, end.progress)
+    classes = {name: np.asarray(flags) for name, flags in failure_classes(progress).items()}
     phase, force = np.asarray(trace.phase), np.asarray(trace.force)
     lifted = np.asarray(trace.rise) >= SuccessConfig().height
     rows = []

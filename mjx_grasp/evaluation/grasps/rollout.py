@@ -122,7 +122,10 @@ def grasp_all(
 
     key = jax.random.key(seed)
     see = partial(_seen, told=told)
-    plans = _planned(grasper, library, known, see(truth), measured.q, key, np.arange(worlds))
+    nowhere = jnp.full((worlds, 3), jnp.inf)
+    plans = _planned(
+        grasper, library, known, see(truth), measured.q, nowhere, key, np.arange(worlds)
+    )
     grasp = jax.jit(jax.vmap(grasper.start))(measured, known, see(truth), plans)
     carry = _Carry(
         physics.init(jnp.asarray(qpos), ctrl), measured, truth, grasp, jnp.zeros(worlds, bool),
@@ -143,7 +146,8 @@ def grasp_all(
         due = np.flatnonzero(carry.due)
         if len(due):
             key = jax.random.fold_in(key, number)
-            found = _planned(grasper, library, known, see(carry.truth), carry.measured.q, key, due)
+            now, avoid = see(carry.truth), carry.grasp.avoid
+            found = _planned(grasper, library, known, now, carry.measured.q, avoid, key, due)
             new, mask = _spread(found, carry.grasp.ways, due), np.isin(np.arange(worlds), due)
             carry = carry._replace(
                 grasp=_where(mask, adopt(carry.grasp, new), carry.grasp), due=carry.due & ~mask
@@ -221,17 +225,18 @@ def _planned(
     known: Known,
     seen: Seen,
     q: Float[Array, "w n"],
+    avoid: Float[Array, "w 3"],
     key: Array,
     rows: Int[np.ndarray, " k"],
 ) -> Ways | None:
     """Plans of some worlds, a few at a time in one compiled size."""
-    parts = []
-    for first in range(0, len(rows), _PLANS_AT_ONCE):
-        some = rows[np.minimum(np.arange(first, first + _PLANS_AT_ONCE), len(rows) - 1)]
+    parts, size = [], min(_PLANS_AT_ONCE, len(q))
+    for first in range(0, len(rows), size):
+        some = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]
         keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(jnp.asarray(some))
-        given = jax.tree.map(lambda leaf, some=some: leaf[some], (known, seen, q))
+        given = jax.tree.map(lambda leaf, some=some: leaf[some], (known, seen, q, avoid))
         part = _plan(grasper, library, *given, keys)
-        kept = min(_PLANS_AT_ONCE, len(rows) - first)
+        kept = min(size, len(rows) - first)
         parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
@@ -243,12 +248,14 @@ def _plan(
     known: Known,
     seen: Seen,
     q: Float[Array, "k n"],
+    avoid: Float[Array, "k 3"],
     keys: Array,
 ) -> Ways | None:
-    def one(given: tuple[Known, Seen, Array, Array]) -> Ways | None:
-        return grasper.plan(library, *given)
+    def one(given: tuple[Known, Seen, Array, Array, Array]) -> Ways | None:
+        known, seen, q, avoid, key = given
+        return grasper.plan(library, known, seen, q, key, avoid)
 
-    return jax.lax.map(one, (known, seen, q, keys))
+    return jax.lax.map(one, (known, seen, q, avoid, keys))
 
 
 def _spread(found: Ways | None, ways: Ways | None, rows: Int[np.ndarray, " k"]) -> Ways | None:

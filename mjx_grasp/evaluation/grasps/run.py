@@ -6,24 +6,28 @@ from pathlib import Path
 
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.evaluation.run import load_controller, policy_task
-from mjx_grasp.pipeline.assemble import grasper_of
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.robot.spec import RobotSpec
 
 
-def loaded_grasper(robot: RobotSpec, file: Path | None = None, budget: float = 3.0) -> Grasper:
+def loaded_grasper(
+    robot: RobotSpec, file: Path | None = None, budget: float = 3.0, steered: bool = False
+) -> Grasper:
     """The controller of whole grasps; a policy closes as it does in its training.
 
     Args:
         robot: Arm and hand.
         file: A policy; without one the grip that answers to load closes alone.
         budget: Mean force per finger that a policy which knows a budget may take [N].
+        steered: Whether scores are those of an anchor, which then has to decide.
 
     Raises:
         FileError: The policy is unreadable, or of another robot or task.
     """
     if file is None:
-        return grasper_of(robot)
+        return grasper_of(robot, reaching=whole_grasps(steered=steered))
     policy = load_controller(file, robot)
     task = policy_task(policy)
-    return grasper_of(robot, task, LearnedPolicy(policy, task.observation, budget))
+    learned = LearnedPolicy(policy, task.observation, budget)
+    return grasper_of(robot, task, learned, whole_grasps(steered=steered))

@@ -1,0 +1,1 @@
+"""One grasp to show: from a mesh and an instruction to a film and a page."""

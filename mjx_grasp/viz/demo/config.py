@@ -1,0 +1,57 @@
+"""What a demo is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.objects.config import Weight
+from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Seed
+
+
+@dataclass(frozen=True)
+class DemoConfig(CommandSettings):
+    """One grasp from home, from a mesh and an instruction to a film and a page."""
+
+    object: Annotated[str, tyro.conf.Positional] = "tomato_soup_can"
+    """an object of the catalogue, or a mesh of your own (.obj, .ply, .stl, .glb, .off; metres)"""
+    instruction: str | None = None
+    """which part or side of it: "by the cap"; by default anywhere good"""
+    anchor: tuple[Finite, Finite, Finite] | None = None
+    """or the point itself, object frame [m]"""
+    sigma: Positive = 0.030
+    """how near the grasp has to be to that [m]"""
+    seed: Seed = 0
+    """of where the object lies, and of the plans"""
+    out: Path = Path("demo")
+    """folder to write grasp.mp4, result.json and index.html into"""
+    objects_dir: Path | None = None
+    """folder of real scans of the catalogue's objects; parametric stand-ins without one"""
+    mass: Positive | None = None
+    """of a mesh of your own [kg]"""
+    density: Positive | None = None
+    """of a mesh of your own, instead of a mass; 500 if neither is given [kg/m^3]"""
+    policy: Path | None = None
+    """policy file that corrects the closing; by default the answering grip closes alone"""
+    robot: str = "rizon4_hx5d20"
+    """name or description file of the robot"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        Weight(self.mass, self.density)  # refuses both
+        if self.instruction is not None and self.anchor is not None:
+            raise InputError("--instruction and --anchor", "both", "one of them at most")
+
+    @property
+    def steers(self) -> bool:
+        """Whether it is said where to grasp."""
+        return self.instruction is not None or self.anchor is not None
+
+    @property
+    def weight(self) -> Weight:
+        """What a mesh of the user weighs."""
+        return Weight(self.mass, self.density)

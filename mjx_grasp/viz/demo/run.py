@@ -1,0 +1,265 @@
+"""A demo from its settings to its files: heatmap, anchor, plans, grasp, film, page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import Progress
+
+from mjx_grasp.cli import counting_progress
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
+from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all
+from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.trajectory import record, save_trajectory
+from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
+from mjx_grasp.heatmap.steering import Heatmap, steer_near
+from mjx_grasp.language.grounding import target_of
+from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.scene import Scene, build_scene
+from mjx_grasp.viz.demo.config import DemoConfig
+from mjx_grasp.viz.demo.page import Shown, demo_page
+from mjx_grasp.viz.demo.plots import Curves, Stage
+from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
+from mjx_grasp.viz.heatmap import Subject
+from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subprocess
+
+SCHEMA = "mjx_grasp.demo/1"
+_STEPS = 6
+_BRIGHTEST = 0.99
+
+
+class Steered(NamedTuple):
+    """Where the object is to be grasped."""
+
+    heatmap: Heatmap
+    score: Float[np.ndarray, " v"]
+    """steered, the best is 1"""
+    anchor: Float[np.ndarray, " 3"] | None
+    """object frame [m]"""
+    source: str
+    """of the anchor, in words"""
+
+    @property
+    def shade(self) -> Float[np.ndarray, " v"]:
+        """Scores as they are coloured: the best hundredth has the brightest, void is NaN."""
+        valid = np.asarray(self.heatmap.valid)
+        top = max(float(np.quantile(self.score[valid], _BRIGHTEST)), 1e-6)
+        return np.where(valid, np.minimum(self.score / top, 1.0), np.nan)
+
+
+class _Clock:
+    """How long each step takes, shown as it goes."""
+
+    def __init__(self, bar: Progress):
+        self.seconds: dict[str, float] = {}
+        self._bar, self._job = bar, bar.add_task("demo", total=_STEPS)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        self._bar.update(self._job, description=name)
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = round(time.perf_counter() - started, 2)
+        self._bar.advance(self._job)
+
+
+def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
+    """Makes a demo and writes its folder.
+
+    Returns:
+        What `result.json` holds.
+
+    Raises:
+        InputError, GroundingError, FileError: A setting or file that cannot work; nothing is
+            written then.
+    """
+    check_new_folder("--out", config.out)
+    made, robot = provenance(config.seed), load_robot(config.robot)
+    grasper = loaded_grasper(robot, config.policy, steered=config.steers)
+    assert grasper.planner is not None
+    (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
+    anchor, source = _anchor(obj, config)
+    config.out.mkdir(parents=True, exist_ok=True)
+    with counting_progress(console, transient=True) as bar:
+        clock = _Clock(bar)
+        with clock.step("heatmap"):
+            steered = _steered(heatmap_of(obj, robot.hand), anchor, source, config)
+        with clock.step("start library"):
+            library = start_library(grasper.reacher.body, grasper.planner.config)
+        with clock.step("plan and grasp"):
+            problem, scene = draw_problem([obj], 1, config.seed), build_scene([obj], robot)
+            known = [known_object(obj, robot, steered.heatmap, jnp.asarray(steered.score))]
+            physics = NativePhysics(scene, grasper.dt, threads=1)
+            end, trace = grasp_all(
+                grasper, library, physics, known_of(known, problem), problem, config.seed
+            )
+        (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
+        stages = _stages(trace, grasper.dt)
+        contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)
+        with clock.step("film"):
+            problem_of_film = _film(scene, obj, steered, contacts, trace, grasper.dt, config.out)
+        result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
+        with clock.step("page"):
+            shown = Shown(
+                title=f"{obj.name.replace('_', ' ')}, {steered.source}",
+                success=row.outcome == "success",
+                subject=_subject(obj, steered, contacts),
+                curves=_curves(trace, grasper.dt),
+                stages=stages,
+                video=None if problem_of_film else config.out / "grasp.mp4",
+                video_problem=problem_of_film,
+                result=result,
+            )
+            with replacing(config.out / "index.html") as temporary:
+                temporary.write_text(demo_page(shown), encoding="utf-8")
+        with clock.step("result"):
+            write_json(config.out / "result.json", result)
+    return result
+
+
+def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
+    found = tuple(objects)
+    if len(found) != 1:
+        raise InputError("object", config.object, f"one object, not {len(found)}")
+    return found
+
+
+def _anchor(obj: ObjectModel, config: DemoConfig) -> tuple[Float[np.ndarray, " 3"] | None, str]:
+    if config.anchor is not None:
+        return np.asarray(config.anchor, np.float64), "by a point"
+    if config.instruction is None:
+        return None, "anywhere good"
+    target = target_of(obj.name, obj.mesh, obj.parts)
+    found = PartGrounder().ground(config.instruction, target)
+    return found.point, f"“{config.instruction}” ({found.source})"
+
+
+def _steered(
+    heatmap: Heatmap, anchor: Float[np.ndarray, " 3"] | None, source: str, config: DemoConfig
+) -> Steered:
+    score = heatmap.score
+    if anchor is not None:
+        score = steer_near(heatmap, jnp.asarray(anchor, jnp.float32), config.sigma)
+    best = float(jnp.max(score))
+    if best <= 0:
+        raise InputError("object", config.object, "one that this hand can grasp there")
+    # Far from the middle of the object all scores are low: what counts is which is the best.
+    return Steered(heatmap, np.asarray(score / best, np.float64), anchor, source)
+
+
+def _stages(trace: Trace, dt: float) -> list[Stage]:
+    """The phases one after the other."""
+    phase = np.asarray(trace.phase)[:, 0]
+    starts = np.flatnonzero(np.diff(phase, prepend=-1))
+    ends = [*starts[1:].tolist(), len(phase)]
+    return [
+        Stage(Phase(int(phase[a])).name.lower(), round(a * dt, 3), round(b * dt, 3))
+        for a, b in zip(starts.tolist(), ends, strict=True)
+    ]
+
+
+def _film(
+    scene: Scene,
+    obj: ObjectModel,
+    steered: Steered,
+    contacts: Float[np.ndarray, "3 3"],
+    trace: Trace,
+    dt: float,
+    out: Path,
+) -> str | None:
+    """Writes the trajectory and `grasp.mp4`; the reason where nothing can be rendered here."""
+    surface = heatmap_surface(obj.mesh)
+    skin = Skin(
+        np.asarray(steered.heatmap.vertices, np.float64),
+        np.asarray(surface.faces),
+        np.nan_to_num(steered.shade),
+        contacts,
+        steered.anchor,
+    )
+    motion = record(
+        stage_model(scene, skin), np.asarray(trace.qpos, np.float64)[:, 0], dt, FOCUS,
+        scene.robot.identity,
+    )  # fmt: skip
+    path = out / "grasp.npz"
+    save_trajectory(path, motion)
+    try:
+        render_in_subprocess(VideoConfig(path, out=out / "grasp.mp4"))
+    except RenderError as error:
+        return str(error)
+    return None
+
+
+def _subject(obj: ObjectModel, steered: Steered, contacts: Float[np.ndarray, "3 3"]) -> Subject:
+    heatmap = steered.heatmap
+    return Subject(
+        vertices=np.asarray(heatmap.vertices, np.float64),
+        faces=np.asarray(heatmap_surface(obj.mesh).faces),
+        normals=np.asarray(heatmap.normals, np.float64),
+        score=steered.shade,
+        thumb=contacts[0],
+        wrap=contacts[1:],
+        anchor=steered.anchor,
+    )
+
+
+def _curves(trace: Trace, dt: float) -> Curves:
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], trace)
+    time_s = dt * (1 + np.arange(len(one.phase)))
+    closing = (one.phase >= Phase.CLOSING)[:, None]
+    return Curves(
+        time=time_s,
+        tip_error=one.tip_error,
+        touching=one.touching,
+        observed=one.observed & closing,
+        felt=np.where(closing, one.felt, 0.0),
+        force=one.force,
+        rise=one.rise,
+    )
+
+
+def _result(
+    obj: ObjectModel,
+    steered: Steered,
+    row: GraspRow,
+    stages: list[Stage],
+    contacts: Float[np.ndarray, "3 3"],
+    end: GraspEnd,
+    seconds: dict[str, float],
+    made: dict[str, Any],
+) -> dict[str, Any]:
+    """What `result.json` holds."""
+    normals = np.asarray(end.state.closing.contacts.normal[0], np.float64)
+    return {
+        "schema": SCHEMA,
+        "object": obj.name,
+        "mesh": obj.source,
+        "asked": steered.source,
+        "anchor_m": None if steered.anchor is None else np.round(steered.anchor, 4).tolist(),
+        "success": row.outcome == "success",
+        "phases": [stage._asdict() for stage in stages],
+        "contacts_m": np.round(contacts, 4).tolist(),
+        "normals": np.round(normals, 4).tolist(),
+        "grasp": asdict(row),
+        "seconds": seconds,
+        "provenance": made,
+    }

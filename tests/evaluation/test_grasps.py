@@ -1,0 +1,59 @@
+"""Whole grasps from home in native MuJoCo: reached, closed, lifted and held."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
+from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all
+from mjx_grasp.objects.model import load_object
+from mjx_grasp.pipeline.assemble import grasper_of, known_object, whole_grasps
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.scene import build_scene
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return load_object("rubiks_cube")
+
+
+def test_problems_are_drawn_for_each_object_alone(cube):
+    can = load_object("tuna_fish_can")
+    both, alone = draw_problem([cube, can], 5, 3), draw_problem([can], 5, 3)
+    np.testing.assert_array_equal(both.object_index, [0] * 5 + [1] * 5)
+    np.testing.assert_array_equal(both.p_wo[5:], alone.p_wo)
+    np.testing.assert_array_equal(both.quat[5:], alone.quat)
+    assert (both.p_wo[:, 2] > 0).all()
+
+
+def test_a_cube_is_lifted_from_home_and_held(cube, robot):
+    settings = whole_grasps()
+    plan = replace(settings.plan, library=4000)
+    grasper = grasper_of(robot, reaching=replace(settings, plan=plan))
+    library = start_library(grasper.reacher.body, plan)
+    height = cube.resting[0].height
+    problem = GraspProblem(
+        np.array([0, 0]),
+        np.float32([[0.5, 0.1, height], [0.55, -0.15, height]]),
+        np.repeat(np.float32([cube.resting[0].quat]), 2, axis=0),
+    )
+    physics = NativePhysics(build_scene([cube], robot), grasper.dt)
+    known = known_of([known_object(cube, robot)], problem)
+    end, trace = grasp_all(grasper, library, physics, known, problem)
+    assert end.progress.success.all()
+    assert (end.state.phase == Phase.HOLDING).all()
+    order = trace.phase[np.diff(trace.phase, axis=0, prepend=-1).nonzero()[0][:4], 0]
+    assert set(order) <= {Phase.REACHING, Phase.CLOSING, Phase.LIFTING, Phase.HOLDING}
+    rows = grasp_rows([cube.name], problem, end, trace, grasper.dt)
+    for row in rows:
+        assert row.outcome == "success" and row.failure == "none"
+        assert 0.3 < row.handoff_s < row.lift_s < row.lifted_s < 10
+        assert max(row.tip_error_mm) < 15 and row.midpoint_mm < 10
+        assert 0.5 < row.force_mean_n <= row.force_peak_n
+    record = as_record(rows)
+    assert record["all"]["success_percent"] == 100.0
+    assert sum(record["objects"][cube.name][name] for name in OUTCOMES) == 2

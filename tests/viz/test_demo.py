@@ -1,0 +1,74 @@
+"""A demo's stage, curves and page, of a grasp that is made up."""
+
+import handmade
+import mujoco
+import numpy as np
+import pytest
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.demo.config import DemoConfig
+from mjx_grasp.viz.demo.page import Shown, demo_page
+from mjx_grasp.viz.demo.plots import Curves, Stage
+from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
+from mjx_grasp.viz.heatmap import Subject
+
+CONTACTS = np.array([[0.0, -0.02, 0.0], [0.0, 0.02, 0.02], [0.0, 0.02, -0.02]])
+
+
+def test_the_stage_has_the_scenes_coordinates_and_touches_nothing(robot):
+    box = handmade.box()
+    scene = build_scene([box], robot)
+    faces = np.asarray(box.mesh.faces)
+    score = np.linspace(0, 1, len(box.mesh.vertices))
+    skin = Skin(np.asarray(box.mesh.vertices), faces, score, CONTACTS, np.zeros(3))
+    model = stage_model(scene, skin)
+    assert model.nq == scene.model.nq and model.nu == scene.model.nu
+    np.testing.assert_array_equal(model.jnt_qposadr, scene.model.jnt_qposadr)
+    assert model.ntex == 1 and model.nmesh == scene.model.nmesh + 1
+    assert model.body(FOCUS).id > 0
+    qpos = np.zeros(model.nq)
+    qpos[scene.addresses.robot_qpos] = robot.home
+    qpos[scene.addresses.object_qpos] = (0.5, 0.3, 0.0451, 1, 0, 0, 0)
+    found = []
+    for each in (model, scene.model):
+        data = mujoco.MjData(each)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(each, data)
+        found.append(data.ncon)
+    assert found[0] == found[1]
+    np.testing.assert_allclose(model.body_mass.sum(), scene.model.body_mass.sum())
+
+
+def shown(success):
+    t = np.arange(1, 61) * 0.01
+    flags = np.zeros((60, 3), bool)
+    flags[30:50, 0] = True
+    curves = Curves(t, np.full((60, 3), 0.01), flags, flags, flags * 2.0, flags * 3.0, 0.2 * t)
+    box = handmade.box().mesh
+    subject = Subject(
+        np.asarray(box.vertices), np.asarray(box.faces), np.asarray(box.vertex_normals),
+        np.linspace(0, 1, 8), CONTACTS[0], CONTACTS[1:], np.zeros(3),
+    )  # fmt: skip
+    grasp = {
+        "outcome": "success" if success else "never_lifted", "handoff_s": 0.2, "lift_s": 0.3,
+        "lifted_s": None, "tip_error_mm": (1.0, 2.0, 3.0), "force_mean_n": 2.0,
+        "force_peak_n": 3.0, "replans": 0, "returns": 1,
+    }  # fmt: skip
+    stages = [Stage("reaching", 0.0, 0.2), Stage("closing", 0.2, 0.3), Stage("lifting", 0.3, 0.6)]
+    result = {"grasp": grasp, "seconds": {"heatmap": 1.0}}
+    return Shown("a <box>", success, subject, curves, stages, None, "no renderer", result)
+
+
+def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
+    page = demo_page(shown(True))
+    assert "a &lt;box&gt;" in page and "lifted and held" in page and "No film. no renderer" in page
+    assert page.count("data:image/png;base64,") == 3
+    assert "http" not in page.replace("http-equiv", "") and "src='/" not in page
+    assert "never lifted" in demo_page(shown(False))
+
+
+def test_an_instruction_and_a_point_are_one_too_many():
+    with pytest.raises(InputError, match="--instruction and --anchor"):
+        DemoConfig(instruction="by the cap", anchor=(0.0, 0.0, 0.0))
+    assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers

@@ -47,7 +47,8 @@ def whole_grasps(preset: str = "default", steered: bool = False) -> ReachPreset:
         settings = replace(settings, selection=selection)
     if settings.plan is None:
         return settings
-    return replace(settings, plan=replace(settings.plan, lift_error=0.03, touch_error=0.008))
+    plan = replace(settings.plan, lift_error=0.03, touch_error=0.022, touch_weight=100.0)
+    return replace(settings, plan=plan)
 
 
 def grasper_of(

@@ -58,6 +58,8 @@ class PlanConfig(Settings):
     by default lifting is not looked at [m]"""
     touch_error: PositiveOrNever = float("inf")
     """the same of the finger that stays farthest from its contact when it closes [m]"""
+    touch_weight: NonNegative = 0.0
+    """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
     seed: Seed = 0
     """of the library"""
     area: ObjectArea = field(default_factory=ObjectArea)
@@ -227,6 +229,7 @@ class Planner:
         if np.isfinite(plan.touch_error):
             touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
             lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
+            lacking = lacking + plan.touch_weight / _LACKING * touch
         return _LACKING * lacking
 
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:

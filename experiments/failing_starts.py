@@ -62,7 +62,7 @@ class FailingConfig(CommandSettings):
     """folder of real scans; parametric stand-ins without one"""
     training: Path = Path("experiments/results/starts/training_native.json")
     """trials from the training states"""
-    evaluation: Path = Path("experiments/results/grip_native.json")
+    evaluation: Path = Path("experiments/results/eight_native.json")
     """trials from the evaluation states"""
     friction: Positive = 0.4
     """of the contacts in the least force: half of the scene's [-]"""

@@ -21,6 +21,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
+from mjx_grasp.training.config import stored_config
 
 SCHEMA = "mjx_grasp.training_runs/1"
 _LAST = 20  # iterations that the final figures are averaged over
@@ -42,7 +43,7 @@ def run_row(folder: Path) -> dict[str, Any]:
         FileError: The folder lacks a run's files, or the run is not finished.
     """
     try:
-        config = read_json(folder / "config.json", "the settings of a run")
+        config = stored_config(folder)
         made = read_json(folder / "provenance.json", "the provenance of a run")
         with (folder / "metrics.csv").open(newline="") as stream:
             metrics = list(csv.DictReader(stream))
@@ -50,24 +51,25 @@ def run_row(folder: Path) -> dict[str, Any]:
         raise FileError(
             folder, f"no finished run ({error})", "config, provenance, metrics"
         ) from None
-    ppo = config["ppo"]
-    if len(metrics) != ppo["iterations"]:
-        raise FileError(folder, f"{len(metrics)} iterations", f"all {ppo['iterations']} of them")
+    ppo = config.ppo
+    if len(metrics) != ppo.iterations:
+        raise FileError(folder, f"{len(metrics)} iterations", f"all {ppo.iterations} of them")
 
     def last(name: str) -> float:
         return float(np.nanmean([float(r[name]) for r in metrics[-_LAST:]]))
 
     return {
         "run": folder.name,
-        "preset": config["preset"],
-        "engine": config["engine"],
-        "worlds": ppo["worlds"],
-        "unroll": ppo["unroll"],
-        "residual": config["task"]["residual"],
-        "privileged_critic": ppo["privileged_critic"],
-        "seed": config["seed"],
-        "objects": config["objects"],
-        "solver_iterations": config["scene"]["solver_iterations"],
+        "preset": config.preset,
+        "engine": config.engine,
+        "worlds": ppo.worlds,
+        "unroll": ppo.unroll,
+        "residual": config.task.action.residual,
+        "physics_dt": config.scene.physics_dt,
+        "privileged_critic": ppo.privileged_critic,
+        "seed": config.seed,
+        "objects": config.objects,
+        "solver_iterations": config.scene.solver_iterations,
         "env_steps": int(float(metrics[-1]["env_steps"])),
         "seconds_with_compilation": float(metrics[-1]["seconds"]),
         "steps_per_s": float(np.median([float(r["steps_per_s"]) for r in metrics])),

@@ -197,7 +197,7 @@ class Closer:
             by_force |= state.grip_ticks > 0
         q = measured.q[..., at.per_finger]
         hold = control.hold_until_landed(
-            state.hold, q, rates, by_force, dt, config.guidance, config.grip.follow
+            state.hold, q, rates, by_force, dt, config.guidance, self.follow(state)
         )
         share = stages.grip_share(state.grip_ticks * dt, config.grip)
         trim = control.update_trim(state.trim, action, config.action)
@@ -233,6 +233,14 @@ class Closer:
             state.goal_mat,
             self.config.guidance,
         )
+
+    def follow(self, state: CloserState) -> Float[Array, "*b 1 1"] | float:
+        """Share of the way to its joint that a held target goes in a tick."""
+        grip, lift = self.config.grip, self.config.lift
+        if not (grip.follow and grip.settles):
+            return grip.follow
+        lifted = state.lift_tick * self.config.control_dt >= stages.lift_duration(lift)
+        return jnp.where(lifted, 0.0, grip.follow)[..., None, None]
 
     def grip_force(self, state: CloserState) -> Float[Array, "*b"]:
         """F as it is commanded: the level times the policy's factor [N]."""

@@ -81,6 +81,9 @@ class GripConfig(Settings):
     follow: Share = 0.0
     """share of the way to its joint that a landed finger's target goes every tick: with 0 it is a
     spring that lets go as the finger gives way, above it a force [-]"""
+    settles: bool = False
+    """whether targets stop following once the lift is over: a force that follows gives way for as
+    long as it holds"""
     friction: Positive | None = None
     """μ₀: from lift onset F follows the load as if this were the friction, from `force` up to
     `most`; none: F stays as it is [-]"""
@@ -92,7 +95,9 @@ class GripConfig(Settings):
     """how fast F may go back [N/s]"""
 
 
-REACTING = GripConfig(force=2.5, split="balanced", direction="line", follow=0.05, friction=0.4)
+REACTING = GripConfig(
+    force=2.5, split="balanced", direction="line", follow=0.05, settles=True, friction=0.4
+)
 """A grip that holds its force and answers to load."""
 
 

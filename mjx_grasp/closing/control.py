@@ -97,12 +97,12 @@ def hold_until_landed(
     landed: Bool[Array, "*b f"],
     dt: float,
     config: GuidanceConfig,
-    follow: float = 0.0,
+    follow: Float[Array, "*b 1 1"] | float = 0.0,
 ) -> Float[Array, "*b f j"]:
     """Guided joint targets [rad]: they follow the field until the finger lands.
 
     Then they stay, or go by the share `follow` of the way to the joint every tick.
     """
     lead = jnp.clip(hold + rates * dt - q, -config.lead, config.lead)
-    kept = hold + follow * (q - hold) if follow else hold
+    kept = hold + follow * (q - hold)
     return jnp.where(landed[..., None], kept, q + lead)

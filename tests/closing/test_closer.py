@@ -369,6 +369,19 @@ def test_an_action_scales_the_grips_force_within_its_range(robot, starts):
     assert plain.grip_force(state) == state.level
 
 
+def test_targets_follow_their_joints_until_the_lift_is_over(robot, starts):
+    measured, targets = jax.tree.map(lambda x: x[0], (starts.measured, starts.targets))
+    grip = GripConfig(follow=0.05, settles=True)
+    closer = Closer.of(robot, CloserConfig(grip=grip))
+    state, at = closer.start(measured, targets), closer.joints.at
+    state = state._replace(landed=jnp.ones(3, bool), lifting=jnp.asarray(True))
+    moved = measured._replace(q=measured.q.at[at.fingers].add(0.1))
+    act, still = jax.jit(closer.act), jnp.zeros(closer.action_size)
+    for tick, share in ((0, 0.05), (100, 0.05), (1000, 0.0)):
+        after, _ = act(state._replace(lift_tick=jnp.asarray(tick)), moved, targets, still)
+        np.testing.assert_allclose(after.hold - state.hold, share * 0.1, atol=1e-5)
+
+
 def test_joints_that_closing_does_not_move_never_move(walk, ran, at):
     """Idle fingers, the finger joints that a policy leaves alone, the arm's last joint."""
     moved = np.concatenate([at.fingers, at.arm_policy])

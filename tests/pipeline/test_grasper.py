@@ -67,7 +67,7 @@ def feel(robot):
 
     @jax.jit
     def measured(q):
-        return measured_from_joints(kinematics, q, jnp.zeros_like(q), jnp.zeros((5, 9)))
+        return measured_from_joints(kinematics, q, jnp.zeros_like(q), jnp.zeros((5, 12)))
 
     return measured
 

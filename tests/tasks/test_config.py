@@ -2,10 +2,10 @@
 
 import json
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import pytest
 
-from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.settings import to_record
@@ -113,6 +113,7 @@ def test_what_came_later_changes_nothing_where_it_is_not_asked_for():
         "grip.direction": "normals",
         "grip.follow": 0.0,
         "grip.friction": None,
+        "grip.settles": False,
         "observation.forces": False,
         "observation.budget": False,
         "observation.ticks_ago": (0, 1),
@@ -120,6 +121,7 @@ def test_what_came_later_changes_nothing_where_it_is_not_asked_for():
         "reward.force": 0.0,
         "reward.over_budget": 0.0,
         "reward.hard": 0.0,
+        "action.grip_range": 1.0,
     }
     assert {path: later[path] for path in off} == off
 
@@ -147,8 +149,8 @@ def test_impossible_tasks_and_noises_are_refused_by_name(kind, field, value):
         kind(**{field: value})
 
 
-def test_the_shipped_policys_task_is_read_number_by_number():
-    stored = load_policy(asset_path("policy.npz")).meta["task"]
+def test_the_first_versions_task_is_read_number_by_number():
+    stored = load_policy(Path(__file__).parents[1] / "data" / "v1" / "policy.npz").meta["task"]
     assert stored == FIRST
     read = first_numbers(task_from_record(stored))
     assert read == {path: stored[name] for name, (_, path) in FLAT.items()}
@@ -225,6 +227,7 @@ TASK_THAT_FEELS = {
     "grip.split": "balanced",
     "grip.direction": "line",
     "grip.follow": 0.05,
+    "grip.settles": True,
     "grip.friction": 0.4,
     "observation.forces": True,
     "observation.budget": True,

@@ -36,6 +36,8 @@ class GraspRow:
     """to lift onset [s]"""
     lifted_s: float | None
     """until the object has risen by what counts as lifted [s]"""
+    up_at_end: bool
+    """whether the object is still lifted when the last of all trials has ended"""
     tip_error_mm: tuple[float, ...] | None
     """thumb, index, middle: tips to their standoff targets at the handoff [mm]"""
     midpoint_mm: float | None
@@ -85,6 +87,7 @@ def grasp_rows(
                 lifted_s=round((int(lifted[:, w].argmax()) + 1) * dt, 3)
                 if lifted[:, w].any()
                 else None,
+                up_at_end=bool(lifted[-1, w]),
                 tip_error_mm=_millimetres(end.state.handoff.error[w]) if closed else None,
                 midpoint_mm=_millimetres(end.state.handoff.midpoint[w, None])[0]
                 if closed
@@ -107,6 +110,7 @@ def summed(rows: Sequence[GraspRow]) -> dict[str, Any]:
         "trials": n,
         **{outcome: sum(row.outcome == outcome for row in rows) for outcome in OUTCOMES},
         "success_percent": round(100.0 * len(held) / n, 1),
+        "up_at_end": sum(row.up_at_end for row in rows),
         "ci95": [round(x, 1) for x in wilson_interval(len(held), n)],
         "handoff_s": _mean([row.handoff_s for row in rows]),
         "lift_s": _mean([row.lift_s for row in held]),

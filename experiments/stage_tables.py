@@ -15,6 +15,7 @@ from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
+CONTROL_S = 0.01
 NOTHING = "_No results file yet._"
 
 
@@ -193,8 +194,42 @@ def route(path: Path) -> str:
     return (
         f"{d['poses']} random poses of one object ({name}, {d['mesh']}, “{d['instruction']}”): "
         f"{d['handed_off']} reaches handed off, and from {d['lifted']} of these handoffs the "
-        "shipped policy lifted the object. The picture shows one of those."
+        "policy of that time lifted the object. The picture shows one of those."
     )
+
+
+def whole_grasps(path: Path) -> str:
+    """Grasps from home, object by object."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    lines = []
+    for name, s in {**d["objects"], "all": d["all"]}.items():
+        tips = " / ".join(_number(x) for x in s["tip_error_mm"])
+        lines.append(
+            (
+                name.replace("_", " "),
+                str(s["trials"]),
+                f"{s['success_percent']:.1f} ({s['ci95'][0]:.0f}–{s['ci95'][1]:.0f})",
+                f"{100 * s['up_at_end'] / s['trials']:.1f}",
+                str(s["not_reached"]),
+                str(s["never_lifted"] + s["slipped"] + s["not_held"]),
+                _number(s["lift_s"]),
+                _number(s["lifted_s"]),
+                f"{tips}, {_number(s['midpoint_mm'])}",
+                _number(s["force_mean_n"]),
+            )
+        )
+    end = d["ticks"] * CONTROL_S
+    header = (
+        *("object", "trials", "lifted and held %", f"still up after {end:.0f} s %"),
+        *("not reached", "lost", "lift begins s", "lifted s", "tips, midpoint mm", "force N"),
+    )
+    return markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
 
 
 def first_run(path: Path) -> str:

@@ -311,3 +311,21 @@ def test_the_reaching_example_runs_as_it_stands():
     names = example(ROOT / "docs" / "using.md")
     assert ReachOutcome(int(names["state"].outcome)) is ReachOutcome.HANDOFF
     assert names["done"].report.error.max() < 0.01
+
+
+def test_whole_grasps_have_their_table(tmp_path):
+    summed = {"trials": 8, "success_percent": 87.5, "ci95": [52.9, 97.8], "up_at_end": 6}
+    summed |= dict(not_reached=1, never_lifted=0, slipped=1, not_held=0)
+    summed |= dict(lift_s=3.14, lifted_s=None, tip_error_mm=[7.0, 5.5, 5.0], midpoint_mm=4.4)
+    record = {"ticks": 1250, "objects": {"rubiks_cube": summed}, "all": summed | {"trials": 80}}
+    for s in (summed, record["all"]):
+        s["force_mean_n"] = 2.5
+    path = tmp_path / "grasps.json"
+    assert stage_tables.whole_grasps(path) == stage_tables.NOTHING
+    path.write_text(json.dumps(record))
+    head, _, cube, every = stage_tables.whole_grasps(path).splitlines()
+    assert "still up after 12 s %" in head
+    values = [c.strip() for c in cube.strip("|").split("|")]
+    assert values[:6] == ["rubiks cube", "8", "87.5 (53–98)", "75.0", "1", "1"]
+    assert values[6:] == ["3.1", "", "7.0 / 5.5 / 5.0, 4.4", "2.5"]
+    assert every.startswith("| **all** | **80** |")

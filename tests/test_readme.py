@@ -321,9 +321,10 @@ def test_whole_grasps_have_their_table(tmp_path):
     for s in (summed, record["all"]):
         s["force_mean_n"] = 2.5
     path = tmp_path / "grasps.json"
-    assert stage_tables.whole_grasps(path) == stage_tables.NOTHING
+    table = make_readme.stage_tables.whole_grasps
+    assert table(path) == make_readme.stage_tables.NOTHING
     path.write_text(json.dumps(record))
-    head, _, cube, every = stage_tables.whole_grasps(path).splitlines()
+    head, _, cube, every = table(path).splitlines()
     assert "still up after 12 s %" in head
     values = [c.strip() for c in cube.strip("|").split("|")]
     assert values[:6] == ["rubiks cube", "8", "87.5 (53–98)", "75.0", "1", "1"]

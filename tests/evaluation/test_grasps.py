@@ -30,6 +30,7 @@ def test_problems_are_drawn_for_each_object_alone(cube):
     assert (both.p_wo[:, 2] > 0).all()
 
 
+@pytest.mark.long
 def test_a_cube_is_lifted_from_home_and_held(cube, robot):
     settings = whole_grasps()
     plan = replace(settings.plan, library=4000)

@@ -124,6 +124,7 @@ def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
         split=config.squeeze_split,
         direction=plain.direction,
         follow=plain.follow,
+        settles=plain.settles,
         friction=plain.friction,
     )
     return replace(task, grip=squeeze)

@@ -82,6 +82,9 @@ def with_task(policy, **changes):
     return replace(policy, meta=policy.meta | {"task": task})
 
 
+FIRST_POLICY = Path(__file__).parents[1] / "data" / "v1" / "policy.npz"
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -117,7 +120,7 @@ def with_task(policy, **changes):
 def test_policies_of_another_task_or_robot_are_refused_by_name(monkeypatch, change, text):
     monkeypatch.setattr(module, "build_scene_of", None)
     path = Path("foreign.npz")
-    change(load_policy(asset_path("policy.npz"))).save(path)
+    change(load_policy(FIRST_POLICY)).save(path)
     with pytest.raises(FileError, match=rf"foreign\.npz: .*{text}"):
         evaluate(EvaluateConfig(out=Path("x.json"), objects=("foam_brick",), policy=path))
 

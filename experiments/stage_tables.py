@@ -214,7 +214,6 @@ def whole_grasps(path: Path) -> str:
                 f"{100 * s['up_at_end'] / s['trials']:.1f}",
                 str(s["not_reached"]),
                 str(s["never_lifted"] + s["slipped"] + s["not_held"]),
-                _number(s["lift_s"]),
                 _number(s["lifted_s"]),
                 f"{tips}, {_number(s['midpoint_mm'])}",
                 _number(s["force_mean_n"]),
@@ -223,7 +222,7 @@ def whole_grasps(path: Path) -> str:
     end = d["ticks"] * CONTROL_S
     header = (
         *("object", "trials", "lifted and held %", f"still up after {end:.0f} s %"),
-        *("not reached", "lost", "lift begins s", "lifted s", "tips, midpoint mm", "force N"),
+        *("not reached", "lost", "lifted s", "tips, midpoint mm", "force N"),
     )
     return markdown(Table("Whole grasps", header, tuple(lines), summary=1))
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from policy_tables import evaluated_policies, squeezes_by_condition
+from policy_tables import comparisons, evaluated_policies
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.tables import Column
+from mjx_grasp.evaluation.tables import Column, read_groups
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.viz.plots import success_against_force
@@ -42,7 +42,11 @@ def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
     Raises:
         FileError: There is no evaluation in that engine.
     """
-    found = {c: part for c, part in squeezes_by_condition(folder).items() if c.engine == engine}
+    found = {
+        condition: [column for column in columns if column.family in ("squeeze", "grip")]
+        for condition, columns in read_groups(comparisons(folder)).items()
+        if condition.engine == engine
+    }
     if not found:
         raise FileError(folder, f"no eight_*.json of {engine}", "evaluations of the eight objects")
     for policy in evaluated_policies(folder, asset_path("policy.npz")):

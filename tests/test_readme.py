@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from test_imports import ORDER
 
+import mjx_grasp
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.results import ResultRow, Results, ThroughputRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
@@ -293,9 +294,13 @@ def test_the_map_shows_the_packages_in_their_order():
     assert shown == [name for name in ORDER if name in packages]
 
 
+def examples(path):
+    return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+
+
 def example(path):
-    """The only Python example of a document."""
-    (code,) = re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+    """The first Python example of a document; those after it need a robot or a simulation."""
+    code, *_ = examples(path)
     names: dict = {}
     exec(compile(code, str(path), "exec"), names)
     return names
@@ -305,6 +310,12 @@ def test_the_heatmap_example_runs_as_it_stands():
     names = example(ROOT / "README.md")
     assert names["scores"].shape == (1000, len(names["mesh"].vertices))
     assert names["scores"].max() > 0
+
+
+def test_examples_use_what_is_public():
+    codes = [code for path in DOCUMENTS for code in examples(path)]
+    used = {name for code in codes for name in re.findall(r"(?<!from )mjx_grasp\.(\w+)", code)}
+    assert {"compute_heatmap", "grasper_of"} <= used <= set(mjx_grasp.__all__)
 
 
 def test_the_reaching_example_runs_as_it_stands():

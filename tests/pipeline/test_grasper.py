@@ -128,6 +128,7 @@ def closing(begun, tick, home, there):
     return state
 
 
+@pytest.mark.long
 def test_time_out_selects_another_candidate_and_then_fails(make, home, known):
     """The published rules: one re-selection without the first candidate."""
     grasper = make(gate=NEVER, fine_distance=100.0, fine_timeout=0.05)
@@ -144,6 +145,7 @@ def test_time_out_selects_another_candidate_and_then_fails(make, home, known):
     np.testing.assert_array_equal(later.target, done.target)
 
 
+@pytest.mark.long
 def test_without_a_candidate_it_says_so(make, home, known):
     grasper = make(timeout=0.05)
     none = known._replace(
@@ -174,6 +176,7 @@ def test_without_contact_it_gives_up(make, home, known):
     assert (state.phase, state.failure) == (Phase.FAILED, Failure.NO_CONTACT)
 
 
+@pytest.mark.long
 def test_everything_has_an_end(make, home, known):
     grasper = make(gate=NEVER, config=GrasperConfig(timeout_s=0.1))
     state, _ = ticks(grasper, grasper.start(home, known, seen()), home, known, seen(), 14)
@@ -203,6 +206,7 @@ def test_after_lift_onset_it_is_lost(tick, closing, home, there):
     assert (state.phase, state.failure) == (Phase.FAILED, Failure.DROPPED)
 
 
+@pytest.mark.long
 def test_a_lost_object_is_tried_again_once_and_elsewhere(make, closing, home, known, there):
     grasper = make(config=GrasperConfig(retries=1))
     tick = jax.jit(lambda state, what: grasper.tick(state, home, known, what))

@@ -28,7 +28,7 @@ from mjx_grasp.training.config import TrainConfig
 SQUEEZE_FORCES_N = (3.0, 5.0, 8.0)
 GRIP_FRICTIONS = (0.4, 0.7)
 """μ₀ of the grips beside a policy that adds to one: each is a point of the grip's front."""
-FORCE_BUDGETS_N = (1.0, 2.0)
+FORCE_BUDGETS_N = (1.5, 3.0)
 """That a policy which knows a budget is given."""
 
 

@@ -109,7 +109,7 @@ def preset_config(preset: str) -> TrainConfig:
                 unroll=32,
                 iterations=300,
                 action_std=0.15,
-                critic_rate=1e-3,
+                critic_rate=3e-4,
                 value_clip=0.5,
             ),
         )

@@ -297,7 +297,10 @@ def test_closing_is_that_of_the_task_in_which_policies_are_trained(
     state, obs = task.start(draw_of(rows))
     size = obs["state"].shape[-1]
     weights = jnp.asarray(rng.normal(size=(size, task.action_size)) * 0.1, jnp.float32)
-    answer = lambda obs: jnp.tanh(obs @ weights)  # noqa: E731
+
+    def answer(obs):
+        return jnp.tanh(obs @ weights)
+
     grasper = make(closing=config, policy=LearnedPolicy(answer, config.observation, budget=3.0))
 
     @jax.jit

@@ -222,15 +222,15 @@ class Planner:
     ) -> Float[Array, " n"]:
         """What postures lack for closing and lifting after them, as a cost like the others [s]."""
         plan, body = self.config, self.reacher.body
-        lacking = jnp.zeros(len(q))
+        lacking = late = jnp.zeros(len(q))
         if np.isfinite(plan.lift_error):
             lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
             lacking = jnp.maximum(lift - plan.lift_error, 0.0)
         if np.isfinite(plan.touch_error):
             touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
             lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
-            lacking = lacking + plan.touch_weight / _LACKING * touch
-        return _LACKING * lacking
+            late = plan.touch_weight * touch
+        return _LACKING * lacking + late
 
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
         """The cheapest attempts of which no two put the palm in the same place."""

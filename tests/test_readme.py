@@ -269,9 +269,9 @@ def test_links_and_commands_exist(path):
         assert re.search(rf"^{target}:", makefile, re.M), target
 
 
-def test_the_readme_opens_with_the_two_commands():
+def test_the_readme_opens_with_the_three_commands():
     targets = re.findall(r"^make ([a-z-]+)", (ROOT / "README.md").read_text(), re.M)
-    assert targets == ["train", "test"]
+    assert targets == ["train", "demo", "test"]
 
 
 def test_every_picture_is_shown_somewhere_and_small():

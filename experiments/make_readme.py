@@ -79,7 +79,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach-speed": reach_tables.reach_speed(
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
             ),
-            "grasps": stage_tables.whole_grasps(folder / "grasps.json"),
+            "grasps": stage_tables.whole_grasps(folder / "scenarios.json"),
+            "scenarios": stage_tables.scenarios(folder / "scenarios.json"),
             "route": stage_tables.route(folder / "route.json"),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "tests": stage_tables.tests(folder / "tests_cpu.json"),

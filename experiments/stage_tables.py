@@ -199,32 +199,51 @@ def route(path: Path) -> str:
 
 
 def whole_grasps(path: Path) -> str:
-    """Grasps from home, object by object."""
+    """Grasps from home while nothing happens, object by object."""
+    d = read(path)
+    if d is None or NOMINAL not in d["scenarios"]:
+        return NOTHING
+    nominal = d["scenarios"][NOMINAL]
+    lines = []
+    for name, s in {**nominal["objects"], "all": nominal["all"]}.items():
+        tips = " / ".join(_number(x) for x in s["tip_error_mm"])
+        lines.append((name.replace("_", " "), *_grasp_cells(s), *_failure_cells(s), tips))
+    header = (
+        *("object", *_GRASP_COLUMNS),
+        *("not reached", "lost", "tips mm"),
+    )
+    return markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+
+
+def scenarios(path: Path) -> str:
+    """Grasps from home while this or that happens, over all objects."""
     d = read(path)
     if d is None:
         return NOTHING
     lines = []
-    for name, s in {**d["objects"], "all": d["all"]}.items():
-        tips = " / ".join(_number(x) for x in s["tip_error_mm"])
-        lines.append(
-            (
-                name.replace("_", " "),
-                str(s["trials"]),
-                f"{s['success_percent']:.1f} ({s['ci95'][0]:.0f}–{s['ci95'][1]:.0f})",
-                f"{100 * s['up_at_end'] / s['trials']:.1f}",
-                str(s["not_reached"]),
-                str(s["never_lifted"] + s["slipped"] + s["not_held"]),
-                _number(s["lifted_s"]),
-                f"{tips}, {_number(s['midpoint_mm'])}",
-                _number(s["force_mean_n"]),
-            )
-        )
-    end = d["ticks"] * CONTROL_S
-    header = (
-        *("object", "trials", "lifted and held %", f"still up after {end:.0f} s %"),
-        *("not reached", "lost", "lifted s", "tips, midpoint mm", "force N"),
+    for name, result in d["scenarios"].items():
+        s = result["all"]
+        what = f"{name.replace('_', ' ')}: {result['settings']['description']}"
+        lines.append((what, *_grasp_cells(s), *_failure_cells(s), str(s["hit"])))
+    header = ("scenario", *_GRASP_COLUMNS, "not reached", "lost", "hit")
+    return markdown(Table("Scenarios", header, tuple(lines)))
+
+
+_GRASP_COLUMNS = ("trials", "lifted and held %", "up after 9 s %", "lifted s", "force N")
+
+
+def _grasp_cells(s: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        str(s["trials"]),
+        f"{s['success_percent']:.1f} ({s['ci95'][0]:.0f}–{s['ci95'][1]:.0f})",
+        f"{100 * s['up_at_9s'] / s['trials']:.1f}",
+        _number(s["lifted_s"]),
+        _number(s["force_mean_n"]),
     )
-    return markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+
+
+def _failure_cells(s: dict[str, Any]) -> tuple[str, str]:
+    return str(s["not_reached"]), str(s["never_lifted"] + s["slipped"] + s["not_held"])
 
 
 def _number(value: float | None) -> str:

@@ -325,19 +325,23 @@ def test_the_reaching_example_runs_as_it_stands():
 
 
 def test_whole_grasps_have_their_table(tmp_path):
-    summed = {"trials": 8, "success_percent": 87.5, "ci95": [52.9, 97.8], "up_at_end": 6}
-    summed |= dict(not_reached=1, never_lifted=0, slipped=1, not_held=0)
+    summed = {"trials": 8, "success_percent": 87.5, "ci95": [52.9, 97.8], "up_at_9s": 6}
+    summed |= dict(not_reached=1, never_lifted=0, slipped=1, not_held=0, hit=2)
     summed |= dict(lifted_s=3.14, tip_error_mm=[7.0, 5.5, 5.0], midpoint_mm=4.4)
-    record = {"ticks": 1250, "objects": {"rubiks_cube": summed}, "all": summed | {"trials": 80}}
-    for s in (summed, record["all"]):
-        s["force_mean_n"] = 2.5
-    path = tmp_path / "grasps.json"
-    table = make_readme.stage_tables.whole_grasps
-    assert table(path) == make_readme.stage_tables.NOTHING
-    path.write_text(json.dumps(record))
-    head, _, cube, every = table(path).splitlines()
-    assert "still up after 12 s %" in head
-    values = [c.strip() for c in cube.strip("|").split("|")]
-    assert values[:6] == ["rubiks cube", "8", "87.5 (53–98)", "75.0", "1", "1"]
-    assert values[6:] == ["3.1", "7.0 / 5.5 / 5.0, 4.4", "2.5"]
+    summed["force_mean_n"] = 2.5
+    nominal = {"settings": {"description": "nothing happens"}, "all": summed | {"trials": 80}}
+    nominal["objects"] = {"rubiks_cube": summed}
+    path, tables = tmp_path / "scenarios.json", make_readme.stage_tables
+    for table in (tables.whole_grasps, tables.scenarios):
+        assert table(path) == tables.NOTHING
+    path.write_text(json.dumps({"scenarios": {"nominal": nominal}}))
+    _, _, cube, every = tables.whole_grasps(path).splitlines()
+    cells = ["8", "87.5 (53–98)", "75.0", "3.1", "2.5", "1", "1"]
+    assert values(cube) == ["rubiks cube", *cells, "7.0 / 5.5 / 5.0"]
     assert every.startswith("| **all** | **80** |")
+    _, _, scenario = tables.scenarios(path).splitlines()
+    assert values(scenario)[0] == "nominal: nothing happens" and values(scenario)[-1] == "2"
+
+
+def values(line):
+    return [cell.strip() for cell in line.strip("|").split("|")]

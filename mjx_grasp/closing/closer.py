@@ -108,7 +108,7 @@ class Closer:
             arm=measured.q[..., at.arm],
             observer=initial_observer(batch, len(at.grasping), fingers),
             observed=none,
-            level=jnp.full(batch, self.config.grip.force),
+            level=jnp.full(batch, self.config.grip.force, jnp.float32),
             trim=jnp.zeros(batch),
             landed=none,
             grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),

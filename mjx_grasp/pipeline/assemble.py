@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
+from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap
@@ -19,6 +20,7 @@ from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import robot_body
+from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset
@@ -30,7 +32,9 @@ _STEERED_SCORE = 0.5
 _GRAVITY = 9.81  # m/s²
 
 
-def whole_grasps(preset: str = "default", steered: bool = False) -> ReachPreset:
+def whole_grasps(
+    preset: str = "default", steered: bool = False, approach: Approach = "any"
+) -> ReachPreset:
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
@@ -40,14 +44,22 @@ def whole_grasps(preset: str = "default", steered: bool = False) -> ReachPreset:
         preset: What it is made from.
         steered: Whether the candidates' scores are those of an anchor: then only those are used
             that it raises to half of the best, or reach would decide in its place.
+        approach: From where the palm is to come.
+
+    Raises:
+        InputError: There is no preset of this name, or one that does not plan is told an approach.
     """
     settings = reach_preset(preset)
     if steered:
         selection = replace(settings.selection, min_score=_STEERED_SCORE)
         settings = replace(settings, selection=selection)
     if settings.plan is None:
+        if approach != "any":
+            raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
-    plan = replace(settings.plan, lift_error=0.03, touch_error=0.022, touch_weight=100.0)
+    plan = replace(
+        settings.plan, lift_error=0.03, touch_error=0.022, touch_weight=100.0, approach=approach
+    )
     return replace(settings, plan=plan)
 
 

@@ -140,7 +140,7 @@ class Grasper:
             seen: Where it is.
             ways: From `plan`.
         """
-        phases = jnp.full(len(Phase), jnp.nan)
+        phases = jnp.full(len(Phase), jnp.nan, jnp.float32)
         never = jnp.float32(jnp.nan)
         return GraspState(
             phase=jnp.int32(Phase.REACHING),
@@ -149,13 +149,13 @@ class Grasper:
             entered=phases.at[Phase.REACHING].set(0.0),
             returns=jnp.int32(0),
             retries=jnp.int32(0),
-            avoid=jnp.full(3, jnp.inf),
+            avoid=jnp.full(3, jnp.inf, jnp.float32),
             reach=self._start_reach(measured, known, seen, ways),
             ways=ways,
             reference=measured.q,
             target=measured.q,
             closing=self._start_closing(measured),
-            handoff=Handoff(jnp.full(3, jnp.nan), never),
+            handoff=Handoff(jnp.full(3, jnp.nan, jnp.float32), never),
         )
 
     def adopt(self, state: GraspState, ways: Ways) -> GraspState:

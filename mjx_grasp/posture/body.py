@@ -20,6 +20,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.posture.cover import Part, Solids, cells, covered, filled, may_touch, padded, solids
 from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.kinematics import Kinematics, Motion
+from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
 
 FINGERS = 3
@@ -102,7 +103,7 @@ def robot_body(robot: RobotSpec) -> Body:
         InputError: A link has a shape that is neither capsule, sphere, box nor cylinder, or the
             arm has a joint that is no hinge or slide.
     """
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+    model = robot_mjspec(robot).compile()
     palm = model.body(robot.hand.palm_body).id
     fingers = _fingers(model, robot, palm)
     finger_bodies = [body for finger in fingers for body in finger]

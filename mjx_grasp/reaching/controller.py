@@ -196,14 +196,14 @@ class Reacher:
             timer=jnp.float32(0.0),
             clock=jnp.float32(0.0),
             tries=jnp.int32(0),
-            best=jnp.full(2, jnp.inf),
+            best=jnp.full(2, jnp.inf, jnp.float32),
             since=jnp.float32(0.0),
             stale=jnp.asarray(False),
             planned_p=p_wo,
             planned_R=R_wo,
             p_wo=p_wo,
             R_wo=R_wo,
-            obstacles=jnp.full((obstacles, 4), jnp.nan),
+            obstacles=jnp.full((obstacles, 4), jnp.nan, jnp.float32),
             outcome=jnp.int32(ReachOutcome.RUNNING),
             infeasible=jnp.int32(0),
         )
@@ -216,7 +216,7 @@ class Reacher:
             planned_R=state.R_wo,
             stale=jnp.asarray(False),
             tries=jnp.int32(0),
-            best=jnp.full(2, jnp.inf),
+            best=jnp.full(2, jnp.inf, jnp.float32),
             since=jnp.float32(0.0),
         )
         return self._take(state, plans, jnp.int32(0))

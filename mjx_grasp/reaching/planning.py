@@ -27,6 +27,7 @@ from mjx_grasp.posture.library import Library, Options, build_library, choose_st
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.reaching.approach import Approach, approaching, deviation
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
@@ -60,6 +61,10 @@ class PlanConfig(Settings):
     """the same of the finger that stays farthest from its contact when it closes [m]"""
     touch_weight: NonNegative = 0.0
     """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
+    approach: Approach = "any"
+    """where the palm is to come from: straight from above or level, give or take the angle below"""
+    approach_angle: Positive = 0.8
+    """[rad]"""
     seed: Seed = 0
     """of the library"""
     area: ObjectArea = field(default_factory=ObjectArea)
@@ -88,9 +93,10 @@ def start_library(body: Body, config: PlanConfig) -> Library:
     """Draws the library of a robot; takes some seconds.
 
     Raises:
-        InputError: The robot does not reach the object area.
+        InputError: The robot does not reach the object area, or not from where it should.
     """
-    return build_library(body, config.library, config.area, config.seed)
+    library = build_library(body, config.library, config.area, config.seed)
+    return approaching(body, library, config.approach, config.approach_angle)
 
 
 class _Ways(NamedTuple):
@@ -220,12 +226,15 @@ class Planner:
     def _shortfall(
         self, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
     ) -> Float[Array, " n"]:
-        """What postures lack for closing and lifting after them, as a cost like the others [s]."""
+        """What postures lack in their approach, and for closing and lifting after them [s]."""
         plan, body = self.config, self.reacher.body
         lacking = late = jnp.zeros(len(q))
+        if plan.approach != "any":
+            off = jax.vmap(lambda q: deviation(body, q, plan.approach))(q)
+            lacking = plan.lever * jnp.maximum(off - plan.approach_angle, 0.0)
         if np.isfinite(plan.lift_error):
             lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
-            lacking = jnp.maximum(lift - plan.lift_error, 0.0)
+            lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
         if np.isfinite(plan.touch_error):
             touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
             lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)

@@ -16,7 +16,8 @@ def robot_mjspec(spec: RobotSpec) -> mujoco.MjSpec:
     """The robot's MJCF as an editable specification, for a scene to build on.
 
     Args:
-        spec: The robot's description. Joints of the MJCF that it does not name are fixed at zero.
+        spec: The robot's description. Joints of the MJCF that it does not name are fixed at zero;
+            the table top is at z = 0.
     """
     editable = mujoco.MjSpec.from_file(str(spec.mjcf))
     fixed = {joint.name for joint in editable.joints} - set(spec.joints)
@@ -25,6 +26,8 @@ def robot_mjspec(spec: RobotSpec) -> mujoco.MjSpec:
             editable.delete(actuator)
     for name in fixed:
         editable.delete(editable.joint(name))
+    for base in editable.worldbody.bodies:
+        base.pos[2] += spec.base_height
     return editable
 
 

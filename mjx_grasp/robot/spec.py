@@ -126,7 +126,10 @@ class RobotSpec:
     hand: HandSpec
     mjcf: Path
     digest: str
-    """SHA-256 of description and MJCF as they were read; fixing idle fingers leaves it."""
+    """SHA-256 of description and MJCF as they were read; fixing idle fingers and mounting the robot
+    elsewhere leave it."""
+    base_height: float = 0.0
+    """of the base above the table top [m]"""
 
     @property
     def identity(self) -> RobotIdentity:
@@ -147,6 +150,10 @@ class RobotSpec:
     def velocity_limits(self) -> tuple[float, ...]:
         """Velocity limits, rad/s, one per joint."""
         return self.arm.velocity_limits + (self.hand.velocity_limit,) * len(self.hand.joints)
+
+    def mounted(self, base_height: float) -> RobotSpec:
+        """The same robot with its base that far above the table top [m], below it if negative."""
+        return replace(self, base_height=base_height)
 
     def without_idle_fingers(self) -> RobotSpec:
         """The same robot with the joints of fingers that take no part in a grasp fixed at zero.

@@ -82,15 +82,27 @@ class NativePhysics:
         return jax.tree.map(lambda new, old: jnp.where(mask[:, None], new, old), fresh, state)
 
     def step(
-        self, state: NativeState, params: WorldParams, ctrl: Float[Array, "w nu"]
+        self,
+        state: NativeState,
+        params: WorldParams,
+        ctrl: Float[Array, "w nu"],
+        push: Float[Array, "w 3"] | None = None,
     ) -> tuple[NativeState, Measured, Truth]:
-        """See `Physics.step`."""
+        """See `Physics.step`.
+
+        Args:
+            state: Before.
+            params: Of the worlds.
+            ctrl: Position commands [rad].
+            push: Force on the object at its centre of mass during the tick, world frame [N].
+        """
+        push = jnp.zeros((len(ctrl), 3)) if push is None else push
         worlds = state.qpos.shape[0]
         shapes = {
             name: jax.ShapeDtypeStruct((worlds, *shape), dtype)
             for name, (shape, dtype) in self._readings.items()
         }
-        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params)
+        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params, push)
         state = NativeState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
         residual = inverse_dynamics_residual(
             self._rows,
@@ -124,8 +136,11 @@ class NativePhysics:
         """See `Physics.unpack`."""
         return NativeState(**packed)
 
-    def _step_host(self, state: NativeState, params: WorldParams) -> dict[str, np.ndarray]:
+    def _step_host(
+        self, state: NativeState, params: WorldParams, push: Float[Array, "w 3"]
+    ) -> dict[str, np.ndarray]:
         state, params = jax.tree.map(np.asarray, (state, params))
+        pushes = np.asarray(push)
         worlds = len(state.qpos)
         out = {n: np.empty((worlds, *s), d) for n, (s, d) in self._readings.items()}
 
@@ -133,7 +148,7 @@ class NativePhysics:
             mine = self._workers[thread]
             for w in range(thread, worlds, self._threads):
                 mine[int(params.object_index[w])].step(
-                    w, state, float(params.friction[w]), float(params.mass_scale[w]), out
+                    w, state, float(params.friction[w]), float(params.mass_scale[w]), pushes[w], out
                 )
 
         list(self._pool.map(run, range(self._threads)))
@@ -202,6 +217,7 @@ class _World:
         state: NativeState,
         friction: float,
         mass_scale: float,
+        push: Float[np.ndarray, " 3"],
         out: dict[str, np.ndarray],
     ) -> None:
         self._apply(friction, mass_scale)
@@ -210,6 +226,7 @@ class _World:
         d.qvel[:] = state.qvel[w]
         d.qacc_warmstart[:] = state.warmstart[w]
         d.ctrl[:] = state.ctrl[w]
+        d.xfrc_applied[at.object_body, :3] = push
         full = _times_full(d)
         for s in range(self._substeps):
             before = d.qvel.copy()

@@ -331,3 +331,13 @@ def test_closing_is_that_of_the_task_in_which_policies_are_trained(
 def test_periods_have_to_be_the_same(make):
     with pytest.raises(InputError, match="control_dt"):
         make(closing=replace(QUICK, control_dt=0.02))
+
+
+def test_a_start_is_of_the_type_of_what_follows_so_that_a_loop_compiles_once(make, known, home):
+    grasper = make()
+    state = grasper.start(home, known, seen())
+    weak = [leaf.weak_type for leaf in jax.tree.leaves(state)]
+    assert not any(weak)
+    after, _ = jax.eval_shape(grasper.tick, state, home, known, seen())
+    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
+        assert (a.shape, a.dtype) == (b.shape, b.dtype) and not b.weak_type

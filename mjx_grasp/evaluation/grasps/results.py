@@ -9,16 +9,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace
+from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import failure_classes
 
-OUTCOMES = ("success", "not_reached", "never_lifted", "slipped", "not_held")
-"""Of a trial, exclusive; beside the classes of the closing task's judge, what never closed."""
+OUTCOMES = ("success", "not_reached", "never_lifted", "slipped", "not_held", "hit")
+"""Of a trial, exclusive; beside the classes of the closing task's judge, what never closed and what
+touched an obstacle. What was held and then fell before its trial's end is not held."""
+HELD_AT_S = 9.0
+"""Time from the start at which it is asked what is up: the length of an end-to-end episode
+(method §6) [s]."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +36,13 @@ class GraspRow:
     failure: str
     """why the controller itself gave up, a `Failure`; `none` if it has not"""
     handoff_s: float | None
-    """from the start to the last handoff [s]"""
+    """from the start to the first handoff [s]"""
     lift_s: float | None
-    """to lift onset [s]"""
+    """to the first lift onset [s]"""
     lifted_s: float | None
     """until the object has risen by what counts as lifted [s]"""
-    up_at_end: bool
-    """whether the object is still lifted when the last of all trials has ended"""
+    up_at_9s: bool
+    """whether the object is lifted `HELD_AT_S` after the start"""
     tip_error_mm: tuple[float, ...] | None
     """thumb, index, middle: tips to their standoff targets at the handoff [mm]"""
     midpoint_mm: float | None
@@ -55,7 +60,12 @@ class GraspRow:
 
 
 def grasp_rows(
-    names: Sequence[str], problem: GraspProblem, end: GraspEnd, trace: Trace, dt: float
+    names: Sequence[str],
+    problem: GraspProblem,
+    end: GraspEnd,
+    trace: Trace,
+    dt: float,
+    hold_s: float = Scenario().hold_s,
 ) -> list[GraspRow]:
     """Rows of all trials.
 
@@ -65,6 +75,7 @@ def grasp_rows(
         end: How it ended.
         trace: What happened on the way.
         dt: Control period [s].
+        hold_s: Time at the top after which a trial ended [s].
     """
     progress = jax.tree.map(jnp.asarray, end.progress)
     classes = {name: np.asarray(flags) for name, flags in failure_classes(progress).items()}
@@ -73,21 +84,27 @@ def grasp_rows(
     rows = []
     for w, k in enumerate(problem.object_index):
         closed = (phase[:, w] == Phase.CLOSING).any()
-        failed = next((name for name, flags in classes.items() if flags[w]), "success")
-        lift = _entered(end, w, Phase.LIFTING)
+        outcome = next((name for name, flags in classes.items() if flags[w]), "success")
+        top = _entered(end, w, Phase.HOLDING)
+        last = len(lifted) - 1 if top is None else round((top + hold_s) / dt)
+        if outcome == "success" and not lifted[min(last, len(lifted) - 1), w]:
+            outcome = "not_held"
+        if outcome == "never_lifted" and not closed:
+            outcome = "not_reached"
+        lift = _first(phase[:, w], Phase.LIFTING, dt)
         since = force[round(lift / dt) :, w] if lift is not None else force[:0, w]
         peak = float(force[:, w].max())
         rows.append(
             GraspRow(
                 object=names[k],
-                outcome="not_reached" if failed == "never_lifted" and not closed else failed,
+                outcome="hit" if end.hit[w] else outcome,
                 failure=Failure(int(end.state.failure[w])).name.lower(),
-                handoff_s=_entered(end, w, Phase.CLOSING),
+                handoff_s=_first(phase[:, w], Phase.CLOSING, dt),
                 lift_s=lift,
                 lifted_s=round((int(lifted[:, w].argmax()) + 1) * dt, 3)
                 if lifted[:, w].any()
                 else None,
-                up_at_end=bool(lifted[-1, w]),
+                up_at_9s=bool(lifted[min(round(HELD_AT_S / dt), len(lifted)) - 1, w]),
                 tip_error_mm=_millimetres(end.state.handoff.error[w]) if closed else None,
                 midpoint_mm=_millimetres(end.state.handoff.midpoint[w, None])[0]
                 if closed
@@ -110,7 +127,7 @@ def summed(rows: Sequence[GraspRow]) -> dict[str, Any]:
         "trials": n,
         **{outcome: sum(row.outcome == outcome for row in rows) for outcome in OUTCOMES},
         "success_percent": round(100.0 * len(held) / n, 1),
-        "up_at_end": sum(row.up_at_end for row in rows),
+        "up_at_9s": sum(row.up_at_9s for row in rows),
         "ci95": [round(x, 1) for x in wilson_interval(len(held), n)],
         "handoff_s": _mean([row.handoff_s for row in rows]),
         "lift_s": _mean([row.lift_s for row in held]),
@@ -132,6 +149,11 @@ def as_record(rows: Sequence[GraspRow]) -> dict[str, Any]:
         "objects": {name: summed([row for row in rows if row.object == name]) for name in names},
         "rows": [asdict(row) for row in rows],
     }
+
+
+def _first(phase: Int[np.ndarray, " t"], wanted: Phase, dt: float) -> float | None:
+    found = phase == wanted
+    return round(int(found.argmax()) * dt, 3) if found.any() else None
 
 
 def _entered(end: GraspEnd, world: int, phase: Phase) -> float | None:

@@ -15,11 +15,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.evaluation.grasps.circumstances import (
+    Circumstances,
+    belt_force,
+    belt_start,
+    draw_circumstances,
+    push_force,
+)
+from mjx_grasp.evaluation.grasps.hits import hits
+from mjx_grasp.evaluation.grasps.plans import planned
+from mjx_grasp.evaluation.grasps.scenario import Scenario
+from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
+from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
+from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import NativePhysics, NativeState, at_rest
 from mjx_grasp.sim.physics import Truth, WorldParams, make_params
@@ -28,9 +41,8 @@ from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_
 
 _SEGMENT = 10
 """Ticks between two looks for worlds that want new plans: the time that planning takes."""
-_PLANS_AT_ONCE = 8
-_HOLD_S = 1.0
-"""Time at the top after which a trial has ended [s]."""
+_LEAST_S = 9.0
+"""Time for which every trial runs: the length of an end-to-end episode (method §6) [s]."""
 
 
 class GraspProblem(NamedTuple):
@@ -72,6 +84,10 @@ class GraspEnd(NamedTuple):
     progress: Progress
     replans: Int[np.ndarray, " w"]
     """times that new plans were made"""
+    obstacles: Float[np.ndarray, "w k 4"]
+    """that hung in the way: centre and radius [m]"""
+    hit: Bool[np.ndarray, " w"]
+    """whether the robot touched one of them"""
 
 
 class _Carry(NamedTuple):
@@ -82,9 +98,20 @@ class _Carry(NamedTuple):
     truth: Truth
     grasp: GraspState
     due: Bool[Array, " w"]
+    track: Track
+    belt_began: Float[Array, " w"]
+    """+inf before [s]"""
+    key: Array
+    """of the tracker's noise"""
     reference: Float[Array, "w 3"]
     """object origin in the palm frame, followed until lift onset and then kept [m]"""
     progress: Progress
+
+
+def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
+    """Midpoint of the fingertips at home, world frame [m]."""
+    body = grasper.reacher.body
+    return np.asarray(midpoint(body.kinematics.motion(jnp.asarray(body.home)).pos[:FINGERS]))
 
 
 def grasp_all(
@@ -93,8 +120,8 @@ def grasp_all(
     physics: NativePhysics,
     known: Known,
     problem: GraspProblem,
+    scenario: Scenario | None = None,
     seed: int = 0,
-    told: bool = True,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[GraspEnd, Trace]:
     """Grasps from home, until every trial has ended.
@@ -105,85 +132,110 @@ def grasp_all(
         physics: Of the scene with all objects of the problem.
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
-        seed: Of the plans.
-        told: Whether the fingertips tell what they touch; else the momentum observer alone does.
+        scenario: What happens meanwhile; by default nothing.
+        seed: Of the plans and of what happens.
         progress: Told which share of the longest possible time is done.
     """
+    scenario = scenario or Scenario()
     scene, worlds = physics.scene, len(problem.object_index)
-    at = scene.addresses
+    at, dt, friction = scene.addresses, grasper.dt, scene.config.friction[0]
     home = np.asarray(grasper.reacher.body.home, np.float32)
     qpos = np.zeros((worlds, scene.model.nq), np.float32)
     qpos[:, at.robot_qpos] = home
     qpos[:, at.object_qpos] = np.concatenate([problem.p_wo, problem.quat], axis=1)
-    params = make_params(jnp.asarray(problem.object_index), scene.config.friction[0])
+    params = make_params(jnp.asarray(problem.object_index), friction, scenario.mass_scale)
     measured, truth = at_rest(scene, qpos, physics.substeps)
     order = np.argsort(at.robot_ctrl)
     ctrl = jnp.broadcast_to(jnp.asarray(home[order]), (worlds, len(home)))
+    tips = home_tips(grasper)
+    mass = np.array([obj.mass for obj in scene.objects])[problem.object_index]
+    given = draw_circumstances(scenario, problem.p_wo, mass, friction, tips, dt, seed)
 
-    key = jax.random.key(seed)
-    see = partial(_seen, told=told)
-    nowhere = jnp.full((worlds, 3), jnp.inf)
-    plans = _planned(
-        grasper, library, known, see(truth), measured.q, nowhere, key, np.arange(worlds)
-    )
-    grasp = jax.jit(jax.vmap(grasper.start))(measured, known, see(truth), plans)
+    key, noise = jax.random.split(jax.random.key(seed))
+    tracked = start_track(*_pose(truth), dt)
+    seen = _seen(tracked, truth, given)
+    nowhere = jnp.full((worlds, 3), jnp.inf, jnp.float32)
+    plans = planned(grasper, library, known, seen, measured.q, nowhere, key, np.arange(worlds))
+    grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
-        physics.init(jnp.asarray(qpos), ctrl), measured, truth, grasp, jnp.zeros(worlds, bool),
-        in_palm(measured, truth), initial_progress((worlds,)),
-    )  # fmt: skip
-    advance = jax.jit(
-        partial(_segment, grasper, physics, order, told=told, base=problem.p_wo[:, 2])
+        physics=physics.init(jnp.asarray(qpos), ctrl),
+        measured=measured,
+        truth=truth,
+        grasp=grasp,
+        due=jnp.zeros(worlds, bool),
+        track=tracked,
+        belt_began=jnp.full(worlds, jnp.inf, jnp.float32),
+        key=noise,
+        reference=in_palm(measured, truth),
+        progress=initial_progress((worlds,)),
     )
-    adopt = jax.jit(jax.vmap(grasper.adopt))
+    base = jnp.asarray(problem.p_wo[:, 2])
     replans, parts = np.zeros(worlds, int), []
-    longest = grasper.config.timeout_s + _HOLD_S + 2.0
-    for number in range(round(longest / grasper.dt / _SEGMENT)):
-        carry, part = advance(carry, params, known)
+    longest = grasper.config.timeout_s + scenario.hold_s + 2.0
+    for number in range(round(longest / dt / _SEGMENT)):
+        carry, part = _segment(grasper, physics, carry, params, known, given, base)
         parts.append(jax.tree.map(np.asarray, part))
-        progress(number * _SEGMENT * grasper.dt / longest)
-        if np.all(_ended(carry.grasp)):
+        progress(number * _SEGMENT * dt / longest)
+        late = (number + 1) * _SEGMENT * dt >= _LEAST_S
+        if late and np.all(_ended(carry.grasp, scenario.hold_s)):
             break
         due = np.flatnonzero(carry.due)
         if len(due):
             key = jax.random.fold_in(key, number)
-            now, avoid = see(carry.truth), carry.grasp.avoid
-            found = _planned(grasper, library, known, now, carry.measured.q, avoid, key, due)
-            new, mask = _spread(found, carry.grasp.ways, due), np.isin(np.arange(worlds), due)
-            carry = carry._replace(
-                grasp=_where(mask, adopt(carry.grasp, new), carry.grasp), due=carry.due & ~mask
-            )
+            now = _seen(carry.track, carry.truth, given)
+            avoid, q = carry.grasp.avoid, carry.measured.q
+            found = planned(grasper, library, known, now, q, avoid, key, due)
+            new = jax.tree.map(lambda a, b, due=due: b.at[due].set(a), found, carry.grasp.ways)
+            mask = np.isin(np.arange(worlds), due)
+            adopted = _adopted(grasper, carry.grasp, new, mask)
+            carry = carry._replace(grasp=adopted, due=carry.due & ~mask)
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return GraspEnd(grasp, judged, replans), trace
+    obstacles = np.asarray(given.obstacles)
+    hit = hits(scene.robot, trace.qpos[:, :, at.robot_qpos], obstacles)
+    return GraspEnd(grasp, judged, replans, obstacles, hit), trace
 
 
+@partial(jax.jit, static_argnames="grasper")
+def _start(
+    grasper: Grasper, measured: Measured, known: Known, seen: Seen, ways: Ways | None
+) -> GraspState:
+    return jax.vmap(grasper.start)(measured, known, seen, ways)
+
+
+@partial(jax.jit, static_argnames=("grasper", "physics"))
 def _segment(
     grasper: Grasper,
     physics: NativePhysics,
-    order: Int[np.ndarray, " n"],
     carry: _Carry,
     params: WorldParams,
     known: Known,
-    *,
-    told: bool,
-    base: Float[np.ndarray, " w"],
+    given: Circumstances,
+    base: Float[Array, " w"],
 ) -> tuple[_Carry, Trace]:
     """Some ticks of all worlds."""
-    success, closer = SuccessConfig(), grasper.closer
+    success, closer, dt = SuccessConfig(), grasper.closer, grasper.dt
+    order = np.argsort(physics.scene.addresses.robot_ctrl)
 
     def tick(carry: _Carry, _: None) -> tuple[_Carry, Trace]:
         before = carry.grasp.closing.closer.lifting
-        grasp, done = jax.vmap(grasper.tick)(
-            carry.grasp, carry.measured, known, _seen(carry.truth, told)
-        )
-        state, measured, truth = physics.step(carry.physics, params, done.target[:, order])
+        key, noise = jax.random.split(carry.key)
+        tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
+        seen = _seen(tracked, carry.truth, given)
+        grasp, done = jax.vmap(grasper.tick)(carry.grasp, carry.measured, known, seen)
+        began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
+        velocity, rise = carry.truth.object_vel[:, :3], carry.truth.object_pos[:, 2] - base
+        force = belt_force(given, velocity, rise, grasp.clock - began)
+        force += push_force(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
+        ctrl = done.target[:, order]
+        state, measured, truth = physics.step(carry.physics, params, ctrl, force)
         here = in_palm(measured, truth)
         reference = jnp.where(before[:, None], carry.reference, here)
         lifting = grasp.closing.closer.lifting
         slip = jnp.where(lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
         rise = truth.object_pos[:, 2] - base
-        judged = update_progress(carry.progress, rise, slip, success, grasper.dt)
+        judged = update_progress(carry.progress, rise, slip, success, dt)
         felt = closer.forces(grasp.closing.closer, measured)
         trace = Trace(
             phase=grasp.phase,
@@ -197,73 +249,40 @@ def _segment(
             felt=jnp.linalg.norm(felt, axis=-1),
         )
         due = carry.due | done.plans_due
-        return _Carry(state, measured, truth, grasp, due, reference, judged), trace
+        after = _Carry(
+            state, measured, truth, grasp, due, tracked, began, key, reference, judged
+        )  # fmt: skip
+        return after, trace
 
     return jax.lax.scan(tick, carry, length=_SEGMENT)
 
 
-def _seen(truth: Truth, told: bool) -> Seen:
-    """A perfect tracker, and touch flags if the tips tell any."""
+def _pose(truth: Truth) -> tuple[Float[Array, "w 3"], Float[Array, "w 3 3"]]:
+    return truth.object_pos, so3.quat_to_mat(truth.object_quat)
+
+
+def _seen(tracked: Track, truth: Truth, given: Circumstances) -> Seen:
+    """What the controller is told beside its own measurements."""
     return Seen(
-        p_wo=truth.object_pos,
-        R_wo=so3.quat_to_mat(truth.object_quat),
-        touching=truth.tip_found & told,
-        obstacles=jnp.zeros((*truth.object_pos.shape[:-1], 0, 4)),
+        p_wo=tracked.p_wo,
+        R_wo=tracked.R_wo,
+        touching=truth.tip_found & given.told,
+        obstacles=given.obstacles,
     )
 
 
-def _ended(grasp: GraspState) -> Bool[np.ndarray, " w"]:
-    held = np.asarray(grasp.clock - grasp.entered[:, Phase.HOLDING]) >= _HOLD_S
-    return (np.asarray(grasp.phase) == Phase.FAILED) | (
-        (np.asarray(grasp.phase) == Phase.HOLDING) & held
-    )
-
-
-def _planned(
-    grasper: Grasper,
-    library: Library,
-    known: Known,
-    seen: Seen,
-    q: Float[Array, "w n"],
-    avoid: Float[Array, "w 3"],
-    key: Array,
-    rows: Int[np.ndarray, " k"],
-) -> Ways | None:
-    """Plans of some worlds, a few at a time in one compiled size."""
-    parts, size = [], min(_PLANS_AT_ONCE, len(q))
-    for first in range(0, len(rows), size):
-        some = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]
-        keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(jnp.asarray(some))
-        given = jax.tree.map(lambda leaf, some=some: leaf[some], (known, seen, q, avoid))
-        part = _plan(grasper, library, *given, keys)
-        kept = min(size, len(rows) - first)
-        parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+def _ended(grasp: GraspState, hold_s: float) -> Bool[np.ndarray, " w"]:
+    held = np.asarray(grasp.clock - grasp.entered[:, Phase.HOLDING]) >= hold_s
+    phase = np.asarray(grasp.phase)
+    return (phase == Phase.FAILED) | ((phase == Phase.HOLDING) & held)
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _plan(
-    grasper: Grasper,
-    library: Library,
-    known: Known,
-    seen: Seen,
-    q: Float[Array, "k n"],
-    avoid: Float[Array, "k 3"],
-    keys: Array,
-) -> Ways | None:
-    def one(given: tuple[Known, Seen, Array, Array, Array]) -> Ways | None:
-        known, seen, q, avoid, key = given
-        return grasper.plan(library, known, seen, q, key, avoid)
-
-    return jax.lax.map(one, (known, seen, q, avoid, keys))
-
-
-def _spread(found: Ways | None, ways: Ways | None, rows: Int[np.ndarray, " k"]) -> Ways | None:
-    """Plans of some worlds among those of all."""
-    return jax.tree.map(lambda new, old: old.at[rows].set(new), found, ways)
-
-
-def _where(mask: Bool[np.ndarray, " w"], new: GraspState, old: GraspState) -> GraspState:
+def _adopted(
+    grasper: Grasper, state: GraspState, ways: Ways, mask: Bool[np.ndarray, " w"]
+) -> GraspState:
+    """New plans for the masked worlds."""
+    new = jax.vmap(grasper.adopt)(state, ways)
     return jax.tree.map(
-        lambda a, b: jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old
+        lambda a, b: jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, state
     )

@@ -8,11 +8,16 @@ from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.evaluation.run import load_controller, policy_task
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.robot.spec import RobotSpec
 
 
 def loaded_grasper(
-    robot: RobotSpec, file: Path | None = None, budget: float = 3.0, steered: bool = False
+    robot: RobotSpec,
+    file: Path | None = None,
+    budget: float = 3.0,
+    steered: bool = False,
+    approach: Approach = "any",
 ) -> Grasper:
     """The controller of whole grasps; a policy closes as it does in its training.
 
@@ -21,13 +26,14 @@ def loaded_grasper(
         file: A policy; without one the grip that answers to load closes alone.
         budget: Mean force per finger that a policy which knows a budget may take [N].
         steered: Whether scores are those of an anchor, which then has to decide.
+        approach: From where the palm is to come.
 
     Raises:
         FileError: The policy is unreadable, or of another robot or task.
     """
     if file is None:
-        return grasper_of(robot, reaching=whole_grasps(steered=steered))
+        return grasper_of(robot, reaching=whole_grasps(steered=steered, approach=approach))
     policy = load_controller(file, robot)
     task = policy_task(policy)
     learned = LearnedPolicy(policy, task.observation, budget)
-    return grasper_of(robot, task, learned, whole_grasps(steered=steered))
+    return grasper_of(robot, task, learned, whole_grasps(steered=steered, approach=approach))

@@ -111,7 +111,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             known = [known_object(obj, robot, steered.heatmap, jnp.asarray(steered.score))]
             physics = NativePhysics(scene, grasper.dt, threads=1)
             end, trace = grasp_all(
-                grasper, library, physics, known_of(known, problem), problem, config.seed
+                grasper, library, physics, known_of(known, problem), problem, seed=config.seed
             )
         (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
         stages = _stages(trace, grasper.dt)

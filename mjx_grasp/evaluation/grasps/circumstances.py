@@ -1,0 +1,165 @@
+"""What a scenario does to each trial: headings and obstacles as drawn, forces as they act.
+
+All is numbers of a compiled function, so that scenarios share one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.evaluation.grasps.scenario import Scenario
+from mjx_grasp.evaluation.grasps.tracker import Faults
+from mjx_grasp.geometry.vectors import norm, unit
+
+_GRAVITY = 9.81  # m/s²
+_BELT_GAIN = 40.0
+"""How fast a belt that slips takes an object along: force per mass and missing speed [1/s]."""
+_ON_THE_TABLE_M = 0.005
+"""Rise up to which an object is carried by the table."""
+
+
+class Belt(NamedTuple):
+    """A `BeltConfig` with its headings."""
+
+    velocity: Float[Array, "w 3"]
+    """[m/s]"""
+    starts_s: Float[Array, ""]
+    when_near: Float[Array, ""]
+    lasts_s: Float[Array, ""]
+
+
+class Push(NamedTuple):
+    """A `PushConfig` with its directions."""
+
+    force: Float[Array, "w 3"]
+    """[N]"""
+    after_s: Float[Array, ""]
+    lasts_s: Float[Array, ""]
+
+
+class Circumstances(NamedTuple):
+    """Of all trials; world frame."""
+
+    mass: Float[Array, " w"]
+    """true mass of the object [kg]"""
+    friction: Float[Array, ""]
+    """of an object on the table [-]"""
+    belt: Belt
+    push: Push
+    faults: Faults
+    """of the tracker"""
+    told: Bool[Array, ""]
+    """whether fingertips tell what they touch"""
+    obstacles: Float[Array, "w k 4"]
+    """spheres: centre and radius [m]"""
+
+
+def draw_circumstances(
+    scenario: Scenario,
+    p_wo: Float[np.ndarray, "w 3"],
+    mass: Float[np.ndarray, " w"],
+    friction: float,
+    tips: Float[np.ndarray, " 3"],
+    dt: float,
+    seed: int,
+) -> Circumstances:
+    """Draws what differs between trials.
+
+    Args:
+        scenario: What happens.
+        p_wo: Object origins at the start [m].
+        mass: As the catalogue has it [kg].
+        friction: Of an object on the table [-].
+        tips: Midpoint of the fingertips at home [m].
+        dt: Control period [s].
+        seed: Of the draw.
+    """
+    rng, worlds = np.random.default_rng([seed, 2]), len(p_wo)
+    angles = rng.uniform(0.0, 2.0 * np.pi, (2, worlds))
+    carried, pushed = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    belt, push = scenario.belt, scenario.push
+    if belt.heading == "across":
+        carried = np.where(p_wo[:, 1:2] > 0, -1.0, 1.0) * np.array([0.0, 1.0, 0.0])
+    balls = np.zeros((worlds, len(scenario.obstacles), 4))
+    for k, ball in enumerate(scenario.obstacles):
+        way = p_wo - tips
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        along = np.minimum(ball.along * length, length - ball.clear)
+        balls[:, k, :3] = tips + along * way / length
+        balls[:, k, 3] = ball.radius
+    as_floats = [np.float32(x) for x in (belt.starts_s, belt.when_near, belt.lasts_s)]
+    return Circumstances(
+        mass=jnp.asarray(scenario.mass_scale * mass, jnp.float32),
+        friction=jnp.float32(friction),
+        belt=Belt(jnp.asarray(belt.speed * carried, jnp.float32), *map(jnp.asarray, as_floats)),
+        push=Push(
+            jnp.asarray(push.force * pushed, jnp.float32),
+            jnp.float32(push.after_s),
+            jnp.float32(push.lasts_s),
+        ),
+        faults=Faults.of(scenario.tracker, dt),
+        told=jnp.asarray(scenario.told),
+        obstacles=jnp.asarray(balls, jnp.float32),
+    )
+
+
+def belt_force(
+    given: Circumstances,
+    velocity: Float[Array, "w 3"],
+    rise: Float[Array, " w"],
+    since: Float[Array, " w"],
+) -> Float[Array, "w 3"]:
+    """Force that makes a still table act on the object as a moving belt would [N].
+
+    μ m g along the belt cancels what the still table takes from an object that goes with it, and
+    up to as much drags towards the belt's velocity one that does not.
+
+    Args:
+        given: Of the trials.
+        velocity: Of the object [m/s].
+        rise: Since the start [m].
+        since: Time since the belt began to move, negative before [s].
+    """
+    belt, mass = given.belt, given.mass
+    moving = (since >= 0) & (since < belt.lasts_s) & (rise < _ON_THE_TABLE_M)
+    moving &= jnp.any(belt.velocity != 0.0, axis=-1)
+    most = given.friction * mass * _GRAVITY
+    missing = (belt.velocity - velocity).at[:, 2].set(0.0)
+    wanted = _BELT_GAIN * mass[:, None] * missing
+    share = jnp.minimum(1.0, most / jnp.maximum(norm(wanted), 1e-9))
+    force = most[:, None] * unit(belt.velocity) + share[:, None] * wanted
+    return jnp.where(moving[:, None], force, 0.0)
+
+
+def belt_start(
+    began: Float[Array, " w"],
+    clock: Float[Array, " w"],
+    tip_error: Float[Array, "w 3"],
+    belt: Belt,
+) -> Float[Array, " w"]:
+    """When the belt of each trial began to move; +inf as long as it has not [s].
+
+    Args:
+        began: As of the tick before.
+        clock: Now [s].
+        tip_error: Of the fingertips to their targets [m].
+        belt: When it is to begin.
+    """
+    near = jnp.max(tip_error, axis=-1) <= belt.when_near
+    return jnp.where(jnp.isinf(began) & (clock >= belt.starts_s) & near, clock, began)
+
+
+def push_force(given: Circumstances, held: Float[Array, " w"]) -> Float[Array, "w 3"]:
+    """The push in the hand [N].
+
+    Args:
+        given: Of the trials.
+        held: Time since the end of the lift, NaN before [s].
+    """
+    push = given.push
+    acts = (held >= push.after_s) & (held < push.after_s + push.lasts_s)
+    return jnp.where(acts[:, None], push.force, 0.0)

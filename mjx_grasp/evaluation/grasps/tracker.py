@@ -1,0 +1,86 @@
+"""A tracker of object poses as it is in practice: late, noisy, with readings missing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from mjx_grasp.evaluation.grasps.scenario import LONGEST_DELAY_S, TrackerConfig
+from mjx_grasp.geometry import so3
+
+
+class Faults(NamedTuple):
+    """A `TrackerConfig` as numbers of a compiled function."""
+
+    position: Float[Array, ""]
+    """[m]"""
+    rotation: Float[Array, ""]
+    """[rad]"""
+    age: Int[Array, ""]
+    """of a reading in ticks"""
+    dropout: Float[Array, ""]
+
+    @classmethod
+    def of(cls, config: TrackerConfig, dt: float) -> Faults:
+        """With one reading per tick of ``dt`` [s]."""
+        age = jnp.int32(round(config.delay / dt))
+        position, rotation = jnp.float32(config.position), jnp.float32(config.rotation)
+        return cls(position, rotation, age, jnp.float32(config.dropout))
+
+
+class Track(NamedTuple):
+    """What the tracker remembers; world frame, worlds in front."""
+
+    late_pos: Float[Array, "w age 3"]
+    """true object origins, the latest first [m]"""
+    late_mat: Float[Array, "w age 3 3"]
+    p_wo: Float[Array, "w 3"]
+    """the last reading that arrived [m]"""
+    R_wo: Float[Array, "w 3 3"]
+
+
+def start_track(p_wo: Float[Array, "w 3"], R_wo: Float[Array, "w 3 3"], dt: float) -> Track:
+    """A tracker that has long looked at an object at rest.
+
+    Args:
+        p_wo: True object origins [m].
+        R_wo: True rotations.
+        dt: Time between readings [s].
+    """
+    ages = round(LONGEST_DELAY_S / dt) + 1
+    pos, mat = (jnp.repeat(x[:, None], ages, axis=1) for x in (p_wo, R_wo))
+    return Track(pos, mat, p_wo, R_wo)
+
+
+def track(
+    before: Track,
+    p_wo: Float[Array, "w 3"],
+    R_wo: Float[Array, "w 3 3"],
+    key: Array,
+    faults: Faults,
+) -> Track:
+    """One reading of each world; exactly the truth if there are no faults.
+
+    Args:
+        before: From `start_track` or the last reading.
+        p_wo: True object origins now [m].
+        R_wo: True rotations now.
+        key: Of the noise and of what is lost.
+        faults: The tracker's.
+    """
+    late_pos = jnp.concatenate([p_wo[:, None], before.late_pos[:, :-1]], axis=1)
+    late_mat = jnp.concatenate([R_wo[:, None], before.late_mat[:, :-1]], axis=1)
+    moved, turned, lost = jax.random.split(key, 3)
+    p = late_pos[:, faults.age] + faults.position * jax.random.normal(moved, p_wo.shape)
+    off = faults.rotation * jax.random.normal(turned, p_wo.shape)
+    R = late_mat[:, faults.age] @ jax.vmap(so3.exp)(off)
+    gone = jax.random.bernoulli(lost, faults.dropout, (len(p_wo),))
+    return Track(
+        late_pos,
+        late_mat,
+        jnp.where(gone[:, None], before.p_wo, p),
+        jnp.where(gone[:, None, None], before.R_wo, R),
+    )

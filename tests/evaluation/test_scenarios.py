@@ -1,0 +1,313 @@
+"""Scenarios: what they do to objects, trackers and hands, and the command that runs them."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rich.console import Console
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.grasps import circumstances, problems
+from mjx_grasp.evaluation.grasps.config import ScenariosConfig
+from mjx_grasp.evaluation.grasps.hits import hits
+from mjx_grasp.evaluation.grasps.job import run_scenarios
+from mjx_grasp.evaluation.grasps.results import grasp_rows
+from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem
+from mjx_grasp.evaluation.grasps.scenario import (
+    BeltConfig,
+    ObstacleConfig,
+    PushConfig,
+    Scenario,
+    TrackerConfig,
+    load_scenarios,
+    scenario_names,
+)
+from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
+from mjx_grasp.geometry import so3
+from mjx_grasp.objects.model import load_object
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.posture.body import PALM
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.physics import make_params
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.tasks.success import initial_progress
+
+DT = 0.01
+TIPS = np.array([0.5, 0.0, 0.3])
+
+
+def tracked(config, steps=30, worlds=2):
+    """Readings of an object that moves 1 mm per tick along x and turns by 0.01 rad about z."""
+    p = np.zeros((steps + 1, worlds, 3), np.float32)
+    p[..., 0] = 0.001 * np.arange(steps + 1)[:, None]
+    turns = np.zeros((steps + 1, worlds, 3), np.float32)
+    turns[..., 2] = 0.01 * np.arange(steps + 1)[:, None]
+    R = np.asarray(jax.vmap(jax.vmap(so3.exp))(jnp.asarray(turns)))
+    before, faults = start_track(jnp.asarray(p[0]), jnp.asarray(R[0]), DT), Faults.of(config, DT)
+    read = jax.jit(track)
+    readings = []
+    for k in range(1, steps + 1):
+        key = jax.random.fold_in(jax.random.key(0), k)
+        before = read(before, jnp.asarray(p[k]), jnp.asarray(R[k]), key, faults)
+        readings.append((before.p_wo, before.R_wo))
+    return p[1:], R[1:], *map(np.asarray, zip(*readings, strict=True))
+
+
+def test_a_tracker_without_faults_tells_the_truth():
+    p, R, read_p, read_R = tracked(TrackerConfig())
+    np.testing.assert_array_equal(read_p, p)
+    np.testing.assert_array_equal(read_R, R)
+
+
+def test_a_late_tracker_tells_what_was():
+    p, R, read_p, read_R = tracked(TrackerConfig(delay=0.1))
+    np.testing.assert_array_equal(read_p[10:], p[:-10])
+    np.testing.assert_array_equal(read_R[10:], R[:-10])
+    np.testing.assert_array_equal(read_p[:9], 0.0 * p[:9])
+
+
+def test_noise_has_its_deviation_and_rotations_stay_rotations():
+    p, R, read_p, read_R = tracked(TrackerConfig(position=0.005, rotation=0.05), 50, 100)
+    np.testing.assert_allclose((read_p - p).std(axis=(0, 1)), 0.005, rtol=0.05)
+    off = jax.vmap(so3.log)(jnp.asarray((R.swapaxes(-1, -2) @ read_R).reshape(-1, 3, 3)))
+    np.testing.assert_allclose(np.asarray(off).std(axis=0), 0.05, rtol=0.05)
+    np.testing.assert_allclose(read_R @ read_R.swapaxes(-1, -2) - np.eye(3), 0.0, atol=1e-5)
+
+
+def test_what_is_lost_leaves_the_last_reading():
+    _, _, read_p, _ = tracked(TrackerConfig(dropout=1.0))
+    np.testing.assert_array_equal(read_p, 0.0 * read_p)
+    _, _, read_p, _ = tracked(TrackerConfig(dropout=0.2), 50, 100)
+    still = (np.diff(read_p[..., 0], axis=0) == 0).mean()
+    assert 0.17 < still < 0.23
+
+
+def drawn(settings, worlds=4, mass=0.5):
+    p_wo = np.tile([0.5, -0.2, 0.05], (worlds, 1))
+    masses = np.full(worlds, mass)
+    return circumstances.draw_circumstances(settings, p_wo, masses, 0.8, TIPS, DT, 0)
+
+
+@pytest.fixture(scope="module")
+def box_world(robot):
+    return NativePhysics(build_scene([load_object("rubiks_cube")], robot), threads=1)
+
+
+def slid(physics, force_of, seconds, z):
+    """Object positions and velocities of one world in which the robot stays at home."""
+    at = physics.scene.addresses
+    home = np.asarray(physics.scene.robot.home, np.float32)
+    qpos = np.zeros((1, physics.scene.model.nq), np.float32)
+    qpos[:, at.robot_qpos] = home
+    qpos[:, at.object_qpos] = [0.55, -0.25, z, 1, 0, 0, 0]
+    ctrl = jnp.asarray(home[np.argsort(at.robot_ctrl)])[None]
+    params = make_params(jnp.zeros(1, int), 0.8)
+
+    @jax.jit
+    def run(state):
+        def tick(carry, k):
+            state, velocity = carry
+            push = force_of(velocity, k * DT)
+            state, _, truth = physics.step(state, params, ctrl, push)
+            return (state, truth.object_vel[:, :3]), (truth.object_pos[0], truth.object_vel[0, :3])
+
+        return jax.lax.scan(tick, (state, jnp.zeros((1, 3))), jnp.arange(round(seconds / DT)))[1]
+
+    return map(np.asarray, run(physics.init(jnp.asarray(qpos), ctrl)))
+
+
+def test_a_push_changes_momentum_by_its_impulse(box_world):
+    mass, force = box_world.scene.objects[0].mass, jnp.array([[0.6, -0.3, 0.0]])
+    _, velocity = slid(box_world, lambda v, t: force, 0.1, z=0.6)  # it falls freely
+    expected = [0.6 * 0.1 / mass, -0.3 * 0.1 / mass, -9.81 * 0.1]
+    np.testing.assert_allclose(velocity[-1], expected, rtol=1e-3)
+
+
+def test_a_belt_takes_the_object_along_and_stops_with_it(box_world):
+    height = float(box_world.scene.objects[0].resting[0].height)
+    belt = BeltConfig(speed=0.1, heading="across", lasts_s=1.0)
+    given = drawn(Scenario(belt=belt), 1, box_world.scene.objects[0].mass)
+
+    def force(velocity, t):
+        return circumstances.belt_force(given, velocity, jnp.zeros(1), t[None])
+
+    pos, velocity = slid(box_world, force, 1.5, height)
+    np.testing.assert_allclose(velocity[50:100, 1].mean(), 0.1, atol=0.01)
+    np.testing.assert_allclose(velocity[120:], 0.0, atol=0.005)
+    np.testing.assert_allclose(pos[-1, 1] - pos[0, 1], 0.1, atol=0.012)
+
+
+def test_a_belt_drags_with_no_more_than_friction_gives_and_only_on_the_table():
+    given = drawn(Scenario(belt=BeltConfig(speed=0.3)))
+    velocity = jax.random.normal(jax.random.key(0), (4, 3))
+    force = circumstances.belt_force(given, velocity, jnp.zeros(4), jnp.ones(4))
+    most = 2 * 0.8 * 0.5 * 9.81
+    assert (np.linalg.norm(force, axis=1) <= most * (1 + 1e-5)).all() and (force[:, 2] == 0).all()
+    for rise, since in ((0.01, 1.0), (0.0, -1.0)):
+        assert not circumstances.belt_force(
+            given, velocity, jnp.full(4, rise), jnp.full(4, since)
+        ).any()
+    nothing = drawn(Scenario())
+    assert not circumstances.belt_force(nothing, velocity, jnp.zeros(4), jnp.ones(4)).any()
+
+
+def test_a_belt_waits_for_its_time_and_for_the_tips():
+    belt = drawn(Scenario(belt=BeltConfig(0.1, starts_s=1.0, when_near=0.03))).belt
+    never, error = jnp.full(4, jnp.inf), jnp.full((4, 3), 0.02).at[1, 2].set(0.04)
+    assert np.isinf(circumstances.belt_start(never, jnp.full(4, 0.5), error, belt)).all()
+    began = circumstances.belt_start(never, jnp.full(4, 1.5), error, belt)
+    np.testing.assert_array_equal(began, [1.5, np.inf, 1.5, 1.5])
+    later = circumstances.belt_start(began, jnp.full(4, 2.0), 0.0 * error, belt)
+    np.testing.assert_array_equal(later, [1.5, 2.0, 1.5, 1.5])
+
+
+def test_a_push_in_the_hand_is_level_and_has_its_time():
+    given = drawn(Scenario(hold_s=2.0, push=PushConfig(force=3.0, after_s=0.5, lasts_s=0.5)))
+    force = circumstances.push_force(given, jnp.array([0.4, 0.6, 1.1, jnp.nan]))
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), [0, 3, 0, 0], rtol=1e-5)
+    assert (np.asarray(force)[:, 2] == 0).all()
+
+
+def test_obstacles_hang_between_hand_and_object():
+    balls = (ObstacleConfig(radius=0.04), ObstacleConfig(along=1.0, clear=0.1))
+    given = np.asarray(drawn(Scenario(obstacles=balls)).obstacles, np.float64)
+    way = np.array([0.5, -0.2, 0.05]) - TIPS
+    np.testing.assert_allclose(given[:, 0], [[*(TIPS + 0.5 * way), 0.04]] * 4, atol=1e-6)
+    last = np.linalg.norm(given[:, 1, :3] - [0.5, -0.2, 0.05], axis=1)
+    np.testing.assert_allclose(last, 0.1, atol=1e-6)
+
+
+def test_a_ball_that_a_link_touches_is_a_hit(robot, body):
+    q = np.tile(np.asarray(body.home, np.float64), (3, 2, 1))
+    palm = np.asarray(body.kinematics.motion(jnp.asarray(body.home)).pos[PALM], np.float64)
+    balls = np.array([[[*palm, 0.02]], [[*palm[:2], palm[2] + 1.0, 0.02]]])
+    np.testing.assert_array_equal(hits(robot, q, balls), [True, False])
+    np.testing.assert_array_equal(hits(robot, q, balls[::-1]), [False, True])
+    q[..., 0] += 1.0  # the whole robot turns away from the ball
+    assert not hits(robot, q, balls).any()
+    assert not hits(robot, q, np.zeros((2, 0, 4))).any()
+
+
+def test_objects_keep_away_from_where_they_are_told():
+    cube = load_object("rubiks_cube")
+    away = problems.Away(np.array([0.5, 0.0, 0.0]), 0.2)
+    problem = problems.draw_problem([cube], 20, 0, away=away)
+    assert (np.linalg.norm(problem.p_wo - away.point, axis=1) >= 0.2).all()
+    assert len(problem.p_wo) == 20
+    with pytest.raises(InputError, match="away"):
+        problems.draw_problem([cube], 2, 0, away=away._replace(distance=3.0))
+
+
+def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0):
+    ticks = len(rise)
+    phase = np.full((ticks, 1), Phase.HOLDING)
+    phase[:50], phase[50:60], phase[60:100] = Phase.REACHING, Phase.CLOSING, Phase.LIFTING
+    entered = np.full((1, len(Phase)), np.nan)
+    entered[0, Phase.HOLDING] = top
+    handoff = SimpleNamespace(error=np.zeros((1, 3)), midpoint=np.zeros(1))
+    state = SimpleNamespace(
+        failure=np.array([0]), entered=entered, handoff=handoff, returns=np.array([0])
+    )
+    progress = initial_progress((1,))._replace(success=jnp.array([success]))
+    end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]))
+    trace = SimpleNamespace(phase=phase, force=np.ones((ticks, 1, 3)), rise=np.array(rise)[:, None])
+    problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)))
+    return grasp_rows(["box"], problem, end, trace, DT, hold_s)[0]
+
+
+@pytest.mark.wrong_types
+def test_what_falls_before_its_trial_ends_is_not_held():
+    up, fell = np.full(1000, 0.12), np.full(1000, 0.12)
+    fell[180:] = 0.0
+    assert row_of(up).outcome == "success" and row_of(up).up_at_9s
+    assert row_of(fell).outcome == "not_held" and not row_of(fell).up_at_9s
+    fell[180:300] = 0.12
+    assert row_of(fell).outcome == "success" and not row_of(fell).up_at_9s
+    assert row_of(fell, hold_s=2.5).outcome == "not_held"
+    assert row_of(up, hit=True).outcome == "hit"
+    row = row_of(up)
+    assert (row.handoff_s, row.lift_s) == (0.5, 0.6)
+
+
+def test_the_shipped_scenarios_are_read_and_do_something():
+    shipped = load_scenarios(["all"])
+    assert tuple(shipped) == scenario_names() and "nominal" in shipped
+    assert shipped["nominal"] == Scenario()
+    said = {one.description for one in shipped.values()}
+    assert len(said) == len(shipped) == len(set(shipped.values()))
+
+
+def test_files_of_ones_own(tmp_path):
+    path = tmp_path / "windy.yaml"
+    path.write_text("description: wind\npush: {force: 1.0}\nhold_s: 3\n")
+    assert load_scenarios([str(path)])["windy"].push == PushConfig(force=1.0)
+    with pytest.raises(InputError, match="each name once"):
+        load_scenarios([str(path), str(path)])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("push: {force: -1}", r"windy.yaml: scenario.push.force: found -1"),
+        ("tracker: {delay: 2}", r"scenario.tracker.delay: found 2"),
+        ("pushes: 3", r"windy.yaml: scenario: found 'pushes'"),
+        ("push: {force: 1}\nhold_s: 0.5", "it ends with a push until 1.0 s"),
+        ("{", "no valid YAML"),
+        ("- 1", "fields of Scenario"),
+    ],
+)
+def test_a_wrong_scenario_is_refused_by_file_and_field(text, expected, tmp_path):
+    path = tmp_path / "windy.yaml"
+    path.write_text(text)
+    with pytest.raises((InputError, FileError), match=expected):
+        load_scenarios([str(path)])
+
+
+def test_unknown_names_and_missing_files_are_refused():
+    with pytest.raises(InputError, match="one of nominal"):
+        load_scenarios(["storm"])
+    with pytest.raises(FileError, match=r"storm\.yaml"):
+        load_scenarios(["storm.yaml"])
+
+
+def test_what_cannot_work_is_refused_before_anything_long_starts(tmp_path):
+    out, console = tmp_path / "out.json", Console(quiet=True)
+    with pytest.raises(InputError, match="one of nominal"):
+        run_scenarios(ScenariosConfig(scenarios=("storm",), out=out), console)
+    with pytest.raises(InputError, match="storm"):
+        run_scenarios(ScenariosConfig(objects=("storm",), out=out), console)
+    assert not out.exists()
+    out.write_text("{}")
+    with pytest.raises(FileError, match="no results of scenarios"):
+        run_scenarios(ScenariosConfig(out=out), console)
+    assert out.read_text() == "{}"
+
+
+def command(*arguments):
+    line = [sys.executable, "-m", "mjx_grasp.scenarios", *arguments]
+    return subprocess.run(line, capture_output=True, text=True, timeout=900)
+
+
+@pytest.mark.long
+def test_scenarios_run_are_told_of_and_go_on_where_they_stopped(tmp_path):
+    out = tmp_path / "out.json"
+    flags = ("--objects", "rubiks_cube", "--episodes", "2", "--out", str(out))
+    done = command("--scenarios", "nominal", "pushed_in_hand", *flags)
+    assert done.returncode == 0, done.stderr
+    assert "pushed_in_hand" in done.stdout and str(out) in done.stderr
+    written = json.loads(out.read_text())
+    assert list(written["scenarios"]) == ["nominal", "pushed_in_hand"]
+    for result in written["scenarios"].values():
+        assert result["all"]["trials"] == len(result["rows"]) == 2
+    assert written["scenarios"]["nominal"]["all"]["success"] == 2
+    del written["scenarios"]["pushed_in_hand"]
+    written["scenarios"]["nominal"]["seconds"] = 12345.0
+    out.write_text(json.dumps(written))
+    again = command("--scenarios", "nominal", "pushed_in_hand", *flags)
+    assert "goes on after nominal" in again.stderr
+    assert json.loads(out.read_text())["scenarios"]["nominal"]["seconds"] == 12345.0

@@ -187,19 +187,38 @@ def test_what_came_of_an_episode_is_told_at_its_end(starts, scripted):
 
 
 def test_a_broken_world_terminates_and_is_last_seen_whole(starts, scripted):
-    script = still(starts, [0, 0], EPISODE)
-    script.measured.q[3, 1] = np.nan
+    """World 1 breaks in the middle of its episode, world 2 in the tick in which its time is up."""
+    script = still(starts, [0] * 3, EPISODE)
+    script.measured.q[3, 1] = script.measured.q[EPISODE - 1, 2] = np.nan
     env = scripted(script)
     env.reset(seed=0)
     zeros = np.zeros(env.action_space.shape, np.float32)
     for k in range(EPISODE):
         obs, reward, terminated, truncated, info = env.step(zeros)
+        last = k == EPISODE - 1
         assert np.isfinite(obs).all() and np.isfinite(reward).all()
-        np.testing.assert_array_equal(terminated, [False, k in (3, 7)])
-        np.testing.assert_array_equal(truncated, [k == EPISODE - 1, False])
+        np.testing.assert_array_equal(terminated, [False, k in (3, 7), last])
+        np.testing.assert_array_equal(truncated, [last, False, False])
         if k == 3:
             assert info["final_obs"][0] is None and np.isfinite(info["final_obs"][1]).all()
             assert reward[1] == 0.0
+
+
+def test_what_becomes_of_one_world_is_nothing_to_another(starts, scripted):
+    """Nor does it change what the other draws for its next episodes."""
+
+    def states(broken):
+        script = still(starts, [0, 0], EPISODE)
+        if broken:
+            script.measured.q[3, 1] = np.nan
+        env = scripted(script)
+        env.reset(seed=0)
+        zeros = np.zeros(env.action_space.shape, np.float32)
+        return np.array([env.step(zeros) and env.state() for _ in range(5 * EPISODE)])
+
+    whole, broken = states(False), states(True)
+    np.testing.assert_allclose(whole[:, 0], broken[:, 0], atol=1e-6)
+    assert np.abs(whole[3:, 1] - broken[3:, 1]).max() > 1e-3
 
 
 def test_actions_are_clipped(env):

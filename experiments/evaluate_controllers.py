@@ -22,11 +22,12 @@ from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import evaluate, load_controller, policy_task
+from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
+from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import (
     CommandSettings,

@@ -13,10 +13,10 @@ import tyro
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
-from mjx_grasp.evaluation.run import load_controller
 from mjx_grasp.evaluation.trajectory import save_trajectory
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
+from mjx_grasp.learning.controller import load_controller
 from mjx_grasp.records.settings import CommandSettings, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig

@@ -30,7 +30,6 @@ from small_png import write_png
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.run import load_controller, policy_task
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world
 from mjx_grasp.evaluation.trials import paired_draws, record_trials
 from mjx_grasp.geometry import so3
@@ -44,6 +43,7 @@ from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.posture.body import robot_body

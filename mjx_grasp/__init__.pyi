@@ -80,6 +80,7 @@ from mjx_grasp.tasks.rewards import RewardTerm as RewardTerm
 from mjx_grasp.tasks.task import Task as Task
 from mjx_grasp.learning.brax_env import BraxTask as BraxTask
 from mjx_grasp.learning.policy import load_policy as load_policy
+from mjx_grasp.learning.numpy_policy import NumpyPolicy as NumpyPolicy
 
 # Evaluation and training
 from mjx_grasp.evaluation.grasps.rollout import grasp_all as grasp_all

@@ -4,6 +4,9 @@ import csv
 import importlib.util
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -15,7 +18,7 @@ def example(name):
 
 
 def test_every_example_is_tried_here():
-    tried = {"own_mesh", "own_reward", "another_robot"}
+    tried = {"own_mesh", "own_reward", "another_robot", "gym_training"}
     assert {path.stem for path in EXAMPLES.glob("*.py")} == tried
 
 
@@ -39,3 +42,15 @@ def test_another_robot_reaches(capsys):
     module = example("another_robot")
     outcome = module.main(EXAMPLES / "robot" / "six_axis.yaml", library_size=8000)
     assert outcome is module.ReachOutcome.HANDOFF, capsys.readouterr().out
+
+
+def test_another_library_trains_a_policy_that_is_one_here(tmp_path, capsys):
+    pytest.importorskip("skrl")
+    example("gym_training").main(tmp_path, iterations=2, worlds=4)
+    from mjx_grasp.learning.controller import load_controller
+    from mjx_grasp.robot.spec import load_robot
+
+    policy = load_controller(tmp_path / "policy.npz", load_robot())
+    assert policy.meta["env_steps"] == 2 * 32 * 4
+    assert (policy.std > 0).all() and np.ptp(policy.std) > 0, "no statistics were taken"
+    assert any(np.abs(bias).max() > 0 for bias in policy.biases), "nothing was learnt"

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ORDER = (
     *("records", "geometry", "objects", "robot", "heatmap", "language"),
     *("sim", "posture", "grasp", "reaching", "closing", "pipeline", "handoff"),
-    *("tasks", "learning", "evaluation", "training", "viz"),
+    *("tasks", "learning", "evaluation", "training", "gym", "viz"),
 )
 """Each package imports from itself and from those before it."""
 LAST = 1 + len(ORDER)

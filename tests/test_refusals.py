@@ -18,6 +18,7 @@ from mjx_grasp.evaluation.reach import run as sweeping
 from mjx_grasp.evaluation.reach.poses import SweepConfig
 from mjx_grasp.handoff import make as making
 from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.learning import export as exporting
 from mjx_grasp.records.settings import _hints, to_record
 from mjx_grasp.tasks import assemble
 from mjx_grasp.training.config import TrainConfig, preset_config
@@ -52,6 +53,7 @@ def _nothing_long_begins(monkeypatch):
         (sweeping, "Reacher"),
         (heatmap_folder, "heatmap_of_mesh"),
         (demonstrating, "heatmap_of"),
+        (exporting, "onnx_model"),
         (viewing, "Viewer"),
         (viewing, "heatmap_of_mesh"),
         (rendering, "_try_backend"),
@@ -134,6 +136,10 @@ def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused)
         ("evaluate", ("--out", "x.json", "--seed", "-1"), "--seed"),
         ("evaluate", ("--out", "missing/dir/x.json"), "does not exist (missing/dir)"),
         ("evaluate", ("--out", "x.json", "--objects-dir", "none"), "none: found no such folder"),
+        ("export", ("p.npz", "--out", "x.npz"), "--out: found 'x.npz'"),
+        ("export", ("p.npz", "--out", "missing/x.onnx"), "does not exist (missing)"),
+        ("export", ("p.npz", "--out", "/proc/x.onnx"), "--out: found '/proc/x.onnx'"),
+        ("export", ("p.npz",), "--out"),
         ("handoffs", ("--out", "x.npz", "--seed", "-1"), "--seed"),
         ("handoffs", ("--out", "x.npz", "--targets.thumb-standoff", "-1"), "thumb_standoff"),
         ("handoffs", ("--out", "missing/dir/x.npz"), "does not exist (missing/dir)"),
@@ -182,6 +188,8 @@ FILES = {
     "evaluate --policy": ("evaluate", "--out", "x.json", "--policy", "{}.npz"),
     "evaluate --handoffs": ("evaluate", "--out", "x.json", "--handoffs", "{}.npz"),
     "evaluate --robot": ("evaluate", "--out", "x.json", "--robot", "{}.yaml"),
+    "export": ("export", "--out", "x.onnx", "{}.npz"),
+    "export --robot": ("export", "p.npz", "--out", "x.onnx", "--robot", "{}.yaml"),
     "handoffs --update": ("handoffs", "--out", "x.npz", "--update", "{}.npz"),
     "handoffs --robot": ("handoffs", "--out", "x.npz", "--robot", "{}.yaml"),
     "sweep_reach --robot": ("sweep_reach", "--robot", "{}.yaml"),

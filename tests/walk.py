@@ -14,7 +14,7 @@ import mjx_grasp
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import CommandSettings, Range, Settings, Several, Suffix, _hints
 
-SUFFIXES = (".json", ".npz", ".png", "")
+SUFFIXES = (".json", ".npz", ".png", ".onnx", "")
 
 
 def settings_classes():

@@ -15,6 +15,9 @@ from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.records.settings import Settings, Several, WholeNumber
 from mjx_grasp.robot.interface import Measured
 
+FORCE_UNIT = 5.0
+"""What the number 1 stands for where an observation holds a force [N]."""
+
 
 @dataclass(frozen=True)
 class ObservationConfig(Settings):
@@ -90,7 +93,7 @@ def observation(
     """
     seen = [stack[..., -1 - ago, :] for ago in reversed(config.ticks_ago)]
     if config.budget:
-        seen.append(budget[..., None] / 5.0)
+        seen.append(budget[..., None] / FORCE_UNIT)
     return jnp.concatenate(seen, axis=-1)
 
 
@@ -105,4 +108,4 @@ def felt(
     normal: Float[Array, "*b f"], tangential: Float[Array, "*b f"], level: Float[Array, "*b"]
 ) -> Float[Array, "*b e"]:
     """Beside it for a torque-sensed hand: forces of the fingers and the grip's own, in 5 N."""
-    return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / 5.0
+    return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / FORCE_UNIT

@@ -7,10 +7,11 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import chosen_states, evaluate, load_controller, policy_task
+from mjx_grasp.evaluation.run import chosen_states, evaluate
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
+from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record

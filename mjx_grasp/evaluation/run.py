@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.config import GripConfig
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
@@ -25,13 +24,10 @@ from mjx_grasp.evaluation.trials import (
 )
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.states import eligible, states_of
-from mjx_grasp.learning.policy import Policy, load_policy
+from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.robot.identity import check_robot
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.assemble import TaskConfig, World
-from mjx_grasp.tasks.config import task_from_record
-from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import FAILURES
 
 
@@ -51,28 +47,6 @@ def chosen_states(
         known = ", ".join(n for n in counts if counts[n]) or "none"
         raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
     return names, without, part.select(names)
-
-
-def load_controller(path: Path, robot: RobotSpec) -> Policy:
-    """Reads a policy of a robot, of a task that is known here.
-
-    Raises:
-        FileError: It is unreadable, or of another robot or task.
-    """
-    policy = load_policy(path)
-    check_robot(path, policy.robot, robot.identity)
-    try:
-        policy_task(policy)
-    except InputError as error:
-        raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
-    sizes, fitting = (
-        (policy.observation_size, policy.action_size),
-        policy_sizes(robot, policy_task(policy)),
-    )
-    if sizes != fitting:
-        names = "observation_size, action_size = "
-        raise FileError(path, f"{names}{sizes}", f"{fitting}, those of the robot")
-    return policy
 
 
 def evaluate(
@@ -128,15 +102,6 @@ def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
         friction=plain.friction,
     )
     return replace(task, grip=squeeze)
-
-
-def policy_task(policy: Policy) -> TaskConfig:
-    """The task a policy was trained in, as its file says.
-
-    Raises:
-        InputError: A field is unknown or has an impossible value.
-    """
-    return task_from_record(policy.meta.get("task"))
 
 
 def summarise(

@@ -12,11 +12,12 @@ from rich.console import Console
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.run import evaluate, model_based, policy_task
+from mjx_grasp.evaluation.run import evaluate, model_based
 from mjx_grasp.evaluation.tables import read_groups, success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot

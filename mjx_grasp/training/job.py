@@ -230,6 +230,7 @@ def _save_policy(
 ) -> None:
     meta = {
         "task": to_record(config.task),
+        "noise": to_record(config.noise),
         "objects": names,
         "env_steps": int(state.iteration) * config.ppo.steps_per_iteration,
         "provenance": read_json(folder / "provenance.json", "the provenance of the run"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mjx_grasp.closing.learned import LearnedPolicy
-from mjx_grasp.evaluation.run import load_controller, policy_task
+from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach

@@ -1,0 +1,27 @@
+"""`python -m mjx_grasp.export`: a policy as ONNX, to run where there is no JAX.
+
+Needs the extra `export` (jax2onnx, onnxruntime).
+"""
+
+from mjx_grasp.cli import run_command, starting
+
+
+def main() -> None:
+    """Parses the command line, exports, says how well the file agrees with the policy."""
+    with starting():
+        import tyro
+
+        from mjx_grasp.learning.export import ExportConfig, export_policy
+
+        config = tyro.cli(ExportConfig, description=__doc__)
+
+    done = export_policy(config)
+    print(
+        f"largest difference from JAX: {done.difference:.1e}, "
+        f"{done.observations} random and extreme observations"
+    )
+    print(f"written: {config.out}")
+
+
+if __name__ == "__main__":
+    run_command(main)

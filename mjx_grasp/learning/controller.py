@@ -1,0 +1,44 @@
+"""A policy file as the controller of a robot: that both fit, and in which task it was trained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.learning.policy import Policy, load_policy
+from mjx_grasp.robot.identity import check_robot
+from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.tasks.assemble import TaskConfig
+from mjx_grasp.tasks.config import task_from_record
+from mjx_grasp.tasks.observation import policy_sizes
+
+
+def load_controller(path: Path, robot: RobotSpec) -> Policy:
+    """Reads a policy of a robot, of a task that is known here.
+
+    Raises:
+        FileError: It is unreadable, or of another robot or task.
+    """
+    policy = load_policy(path)
+    check_robot(path, policy.robot, robot.identity)
+    try:
+        policy_task(policy)
+    except InputError as error:
+        raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
+    sizes, fitting = (
+        (policy.observation_size, policy.action_size),
+        policy_sizes(robot, policy_task(policy)),
+    )
+    if sizes != fitting:
+        names = "observation_size, action_size = "
+        raise FileError(path, f"{names}{sizes}", f"{fitting}, those of the robot")
+    return policy
+
+
+def policy_task(policy: Policy) -> TaskConfig:
+    """The task a policy was trained in, as its file says.
+
+    Raises:
+        InputError: A field is unknown or has an impossible value.
+    """
+    return task_from_record(policy.meta.get("task"))

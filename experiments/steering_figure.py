@@ -82,7 +82,7 @@ def main(config: FigureConfig) -> None:
             hand.scoring_friction,
         )  # fmt: skip
         heatmap = jax.tree.map(np.asarray, heatmap)
-        target = target_of(name, mesh, load_catalogue()[name].parts)
+        target = target_of(name, mesh, load_catalogue()[name].parts_on(source == "scan"))
         anchor = PartGrounder().ground(instruction, target).point
         drawn: dict[str, tuple[Subject, float]] = {}
         for kind, sigma in _conditions(config.sigmas):

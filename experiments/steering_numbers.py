@@ -97,7 +97,6 @@ def measures(heatmap: Heatmap, triple: Triples, anchor: Anchor) -> dict[str, Any
         "outside_mm": _millimetres(beyond),
         "on_part": bool(np.all(beyond <= ON_PART_M)) if anchor.size.any() else None,
         "quality": round(float(heatmap.score_without_com[int(triple.candidate[0])]), 4),
-        "contacts_m": np.round(contacts, 4).tolist(),
     }
 
 

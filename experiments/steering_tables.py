@@ -34,13 +34,14 @@ def steering(path: Path) -> str:
     header = ("places", "of them", "steering", "contacts mm", "nearer %", "on part %", "quality")
     objects = len({_first(p)["object"] for p in places})
     nearest = [f for p in places if (f := _first(p)["nearest_mm"]) is not None]
+    least = d["settings"]["usable"]
     return (
         f"{markdown(Table('Steering', header, tuple(rows), names=3))}\n\n"
         f"{len(places)} places on {objects} object{'s' * (objects > 1)}. The distance of the three "
         "contacts from the anchor is their mean, and of it and of the quality (the score without "
         "its centre-of-mass term) the median is shown; *nearer* are the places with contacts "
         "nearer than by default, *on part* the parts with all three contacts on them. Without "
-        f"regard to anything else, the nearest candidates with a score of {d['settings']['usable']:g} are at "
+        f"regard to anything else, the nearest candidates with a score of {least:g} are at "
         f"{np.median(nearest):.1f} mm by the median: two contacts on opposite sides of an object "
         "cannot both be near the middle of a third."
     )

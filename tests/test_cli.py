@@ -25,7 +25,8 @@ def source(command):
 
 def test_the_commands_are_known():
     assert [
-        *("demo", "evaluate", "handoffs", "heatmaps", "sweep_reach", "train", "view", "viz.video"),
+        *("demo", "evaluate", "ground", "handoffs", "heatmaps", "sweep_reach", "train", "view"),
+        "viz.video",
     ] == COMMANDS
 
 

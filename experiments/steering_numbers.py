@@ -29,6 +29,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
+from mjx_grasp.pipeline.assemble import CANDIDATES, STEERED_SCORE
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
@@ -85,6 +86,22 @@ def scores(heatmap: Heatmap, anchor: Anchor) -> Iterator[tuple[str, Float[np.nda
         yield way, np.asarray(steer_to(heatmap, anchor.point, anchor.size, steering=way))
 
 
+def choice_on_part(
+    heatmap: Heatmap, score: Float[np.ndarray, " v"], anchor: Anchor
+) -> float | None:
+    """Of the candidates that a whole grasp chooses among, the share with all contacts on the part.
+
+    None of an anchor that is no part.
+    """
+    if not anchor.size.any():
+        return None
+    best = np.argsort(-score, kind="stable")[:CANDIDATES]
+    chosen = best[score[best] >= STEERED_SCORE * score.max()]
+    contacts = np.concatenate([heatmap.thumb[chosen, None], heatmap.wrap[chosen]], axis=1)
+    outside = np.maximum(np.abs(contacts - anchor.point) - 0.5 * anchor.size, 0.0)
+    return float(np.mean(np.linalg.norm(outside, axis=2).max(axis=1) <= ON_PART_M))
+
+
 def measures(heatmap: Heatmap, triple: Triples, anchor: Anchor) -> dict[str, Any]:
     """How far the contacts of a chosen triple are from the anchor and outside its part."""
     contacts = np.concatenate([triple.thumb, triple.wrap[0]]).astype(np.float64)
@@ -124,7 +141,9 @@ def rows_of(obj: Seen) -> Iterator[dict[str, Any]]:
             }
             for way, score in scores(heatmap, anchor):
                 triple = best_triple(heatmap, score)
-                yield common | {"steering": way} | measures(heatmap, triple, anchor)
+                share = choice_on_part(heatmap, score, anchor)
+                row = {"steering": way, "choice_on_part": share}
+                yield common | row | measures(heatmap, triple, anchor)
 
 
 def _millimetres(lengths: Float[np.ndarray, " n"]) -> list[float]:

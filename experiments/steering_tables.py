@@ -31,7 +31,16 @@ def steering(path: Path) -> str:
     rows = [
         (name, f"{len(of)}", way, *_summary(of, way)) for name, of in groups if of for way in of[0]
     ]
-    header = ("places", "of them", "steering", "contacts mm", "nearer %", "on part %", "quality")
+    header = (
+        "places",
+        "of them",
+        "steering",
+        "contacts mm",
+        "nearer %",
+        "on part %",
+        "choice %",
+        "quality",
+    )
     objects = len({_first(p)["object"] for p in places})
     nearest = [f for p in places if (f := _first(p)["nearest_mm"]) is not None]
     least = d["settings"]["usable"]
@@ -40,7 +49,8 @@ def steering(path: Path) -> str:
         f"{len(places)} places on {objects} object{'s' * (objects > 1)}. The distance of the three "
         "contacts from the anchor is their mean, and of it and of the quality (the score without "
         "its centre-of-mass term) the median is shown; *nearer* are the places with contacts "
-        "nearer than by default, *on part* the parts with all three contacts on them. Without "
+        "nearer than by default, *on part* the parts with all three contacts on them, "
+        "*choice* how much of what a whole grasp chooses among lies on the part. Without "
         f"regard to anything else, the nearest candidates with a score of {least:g} are at "
         f"{np.median(nearest):.1f} mm by the median: two contacts on opposite sides of an object "
         "cannot both be near the middle of a third."
@@ -78,10 +88,11 @@ def _summary(places: Places, way: str) -> tuple[str, ...]:
     apart = np.array([p[way]["contacts_mm"] for p in places])
     default = np.array([p[_DEFAULT]["contacts_mm"] for p in places])
     on = [p[way]["on_part"] for p in places if p[way]["on_part"] is not None]
+    choice = [p[way]["choice_on_part"] for p in places if p[way]["on_part"] is not None]
     quality = np.median([p[way]["quality"] for p in places])
     nearer = "" if way == _DEFAULT else f"{100 * np.mean(apart < default):.1f}"
-    share = f"{100 * np.mean(on):.1f}" if on else ""
-    return f"{np.median(apart):.1f}", nearer, share, f"{quality:.2f}"
+    shares = (f"{100 * np.mean(of):.1f}" if of else "" for of in (on, choice))
+    return f"{np.median(apart):.1f}", nearer, *shares, f"{quality:.2f}"
 
 
 def _is_side(place: dict[str, dict[str, Any]], held_out: bool) -> bool:

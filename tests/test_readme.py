@@ -134,7 +134,8 @@ def test_the_stages_before_closing_have_their_tables(root):
     part = {"object": "mug", "place": "handle", "kind": "part", "split": "train", "mesh": "scan"}
     part |= {"nearest_mm": 7.5, "quality": 0.25}
     side = part | {"place": "top", "kind": "side", "nearest_mm": 20.5, "on_part": None}
-    off, on = {"on_part": False, "outside_mm": [1.0, 8.5, 0.0]}, {"on_part": True}
+    off = {"on_part": False, "choice_on_part": 0.25, "outside_mm": [1.0, 8.5, 0.0]}
+    on = {"on_part": True, "choice_on_part": 0.9}
     rows = [
         part | off | {"steering": "default", "contacts_mm": 51.4},
         part | on | {"steering": "contacts", "contacts_mm": 17.6, "outside_mm": [0.0, 0.0, 0.0]},
@@ -173,9 +174,9 @@ def test_the_stages_before_closing_have_their_tables(root):
     ):
         assert text in detail
     assert "| mug | handle | scan | 51 / 8 | 18 / 0 | 0.25 |" in detail
-    assert "| parts | 1 | contacts | 17.6 | 100.0 | 100.0 | 0.25 |" in detail
-    assert "| sides | 1 | contacts | 40.0 | 0.0 |  | 0.25 |" in detail
-    assert "| all | 2 | default | 45.7 |  | 0.0 | 0.25 |" in detail
+    assert "| parts | 1 | contacts | 17.6 | 100.0 | 100.0 | 90.0 | 0.25 |" in detail
+    assert "| sides | 1 | contacts | 40.0 | 0.0 |  |  | 0.25 |" in detail
+    assert "| all | 2 | default | 45.7 |  | 0.0 | 25.0 | 0.25 |" in detail
     assert "2 places on 1 object. " in detail and "are at 14.0 mm by" in detail
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail

@@ -19,8 +19,8 @@ published (:func:`steer`), or the middle of the grasp (:func:`steer_near`)."""
 
 SIGMA_M = 0.030
 """Scale of the distance to an anchor that is a point [m]."""
-_PART_SHARE = 0.25
-_LEAST_SIGMA_M = 0.003  # scans are not more accurate
+_PART_SHARE = 0.125  # larger, and better grasps beside a thin part come into the choice
+_LEAST_SIGMA_M = 0.002  # scans are not more accurate
 
 
 class Heatmap(NamedTuple):
@@ -190,7 +190,7 @@ def steer_contacts(
 
 
 def contact_sigma(size: Float[Array | np.ndarray, " 3"]) -> Float[Array, ""]:
-    """σ of :func:`steer_contacts` for a part [m]: a quarter of its shortest edge, at least 3 mm.
+    """σ of :func:`steer_contacts` for a part [m]: an eighth of its shortest edge, at least 2 mm.
 
     Of a point it is `SIGMA_M`.
     """

@@ -117,10 +117,10 @@ def test_what_is_no_candidate_has_no_score():
 
 def test_the_scale_follows_the_part():
     assert float(contact_sigma(np.zeros(3))) == pytest.approx(SIGMA_M)
-    assert float(contact_sigma(np.array([0.1, 0.02, 0.06]))) == pytest.approx(0.005)
-    assert float(contact_sigma(np.array([0.1, 0.004, 0.06]))) == pytest.approx(0.003)
+    assert float(contact_sigma(np.array([0.1, 0.04, 0.06]))) == pytest.approx(0.005)
+    assert float(contact_sigma(np.array([0.1, 0.004, 0.06]))) == pytest.approx(0.002)
     score = steer_contacts(HEATMAP, np.zeros(3), PART)
-    assert np.allclose(score, steer_contacts(HEATMAP, np.zeros(3), PART, 0.003))
+    assert np.allclose(score, steer_contacts(HEATMAP, np.zeros(3), PART, 0.002))
 
 
 def test_every_way_goes_by_its_name():

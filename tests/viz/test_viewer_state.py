@@ -101,7 +101,7 @@ def test_between_the_contacts_is_stricter_than_in_line():
 def test_contacts_are_judged_by_default_and_a_part_by_its_size():
     anchor, size = (0.05, 0.0, 0.0), (0.04, 0.06, 0.05)
     point, part = ViewerSettings(anchor), ViewerSettings(anchor, size=size)
-    assert (point.scale, part.scale) == pytest.approx((0.03, 0.01))
+    assert (point.scale, part.scale) == pytest.approx((0.03, 0.005))
     assert ViewerSettings(anchor, size=size, sigma=0.02).scale == 0.02
     assert np.allclose(show(PLATE, point).score, steer_contacts(PLATE, np.float32(anchor)))
     drawn = show(PLATE, part).triples

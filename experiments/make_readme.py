@@ -19,6 +19,7 @@ import reach_tables
 import sensing_tables
 import simulation_tables
 import stage_tables
+import steering_tables
 import tyro
 from stage_tables import markdown, short_revision
 
@@ -70,7 +71,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),
             "eligibility": stage_tables.eligibility(folder / "eligibility.json"),
-            "steering": stage_tables.steering(folder / "steering.json"),
+            "steering": steering_tables.steering(folder / "steering_numbers.json"),
+            "steering-parts": steering_tables.parts(folder / "steering_numbers.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
             "limits": reach_tables.reach_limits(
                 [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]

@@ -44,7 +44,6 @@ from mjx_grasp.heatmap.steering import Heatmap, steer_near
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.learning.controller import load_controller, policy_task
-from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import ObjectModel, load_object
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.surroundings import Surroundings
@@ -143,7 +142,7 @@ def main(config: RouteConfig) -> None:
     robot, model = load_robot(), load_object(config.object, config.objects_dir)
     surface = heatmap_surface(model.mesh)
     heatmap = heatmap_of(model, robot.hand)
-    target = target_of(config.object, model.mesh, load_catalogue()[config.object].parts)
+    target = target_of(config.object, model.mesh, model.parts)
     anchor = PartGrounder().ground(config.instruction, target).point
     score = steer_near(heatmap, jnp.asarray(anchor), config.sigma)
     score = score / jnp.maximum(score.max(), 1e-12)  # far from the middle all scores are low

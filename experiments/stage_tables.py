@@ -1,4 +1,4 @@
-"""Tables for the READMEs: heatmap, steering, the first run.
+"""Tables for the READMEs: heatmap, the first run.
 
 Each takes the path of one results file and gives Markdown; `make_readme.py` puts it in place.
 """
@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.front_tables import headline
+from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 HEATMAP_SCHEMA = "mjx_grasp.heatmap_benchmark/1"
-CONTROL_S = 0.01
 NOTHING = "_No results file yet._"
 
 
@@ -163,26 +163,6 @@ def failing_starts(path: Path) -> str:
         f"if its pad stays more than {1e3 * d['reach_m']:.0f} mm from the contact; the least force "
         f"is that at friction {d['friction']:g}."
     )
-
-
-def steering(path: Path) -> str:
-    """Distance of the chosen contacts from the anchor."""
-    d = read(path)
-    if d is None:
-        return NOTHING
-    found: dict[tuple[str, str], dict[str, float]] = {}
-    for row in d["rows"]:
-        key = (row["object"].replace("_", " "), row["instruction"])
-        label = row["steering"]
-        if row["sigma_m"] is not None:
-            label += f", σ {1e3 * row['sigma_m']:.0f} mm"
-        found.setdefault(key, {})[label] = row["contacts_mm"]
-    labels = list(dict.fromkeys(label for part in found.values() for label in part))
-    rows = tuple(
-        (*key, *(f"{part[label]:.0f}" if label in part else "" for label in labels))
-        for key, part in found.items()
-    )
-    return markdown(Table("Steering", ("object", "instruction", *labels), rows, names=2))
 
 
 def route(path: Path) -> str:

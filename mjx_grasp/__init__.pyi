@@ -21,8 +21,10 @@ from mjx_grasp.heatmap.compute import compute_heatmaps as compute_heatmaps
 from mjx_grasp.heatmap.compute import heatmap_of as heatmap_of
 from mjx_grasp.heatmap.compute import heatmaps_of as heatmaps_of
 from mjx_grasp.heatmap.steering import steer as steer
+from mjx_grasp.heatmap.steering import steer_contacts as steer_contacts
 from mjx_grasp.heatmap.steering import steer_many as steer_many
 from mjx_grasp.heatmap.steering import steer_near as steer_near
+from mjx_grasp.heatmap.steering import steer_to as steer_to
 from mjx_grasp.heatmap.sampling import sample_triples as sample_triples
 from mjx_grasp.heatmap.files import save_heatmap as save_heatmap
 from mjx_grasp.heatmap.files import load_heatmap as load_heatmap

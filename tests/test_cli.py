@@ -25,7 +25,17 @@ def source(command):
 
 def test_the_commands_are_known():
     assert [
-        *("demo", "evaluate", "export", "handoffs", "heatmaps", "sweep_reach", "train", "view"),
+        *(
+            "demo",
+            "evaluate",
+            "export",
+            "ground",
+            "handoffs",
+            "heatmaps",
+            "scenarios",
+            "sweep_reach",
+        ),
+        *("train", "view"),
         "viz.video",
     ] == COMMANDS
 

@@ -41,17 +41,40 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
     figure = script("steering_figure")
     monkeypatch.setattr(figure, "CASES", (("sugar_box", "the top"),))
     out, results = tmp_path / "steering.png", tmp_path / "steering.json"
-    figure.main(figure.FigureConfig(sigmas=(0.02,), drawn_sigma=0.02, out=out, results=results))
+    figure.main(figure.FigureConfig(out=out, results=results))
     content = json.loads(results.read_text())
-    default, line, steered = content["rows"]
-    assert [r["steering"] for r in content["rows"]] == ["default", "in line", "between contacts"]
-    assert default["sigma_m"] is None and steered["sigma_m"] == 0.02
-    assert line["contacts_mm"] < default["contacts_mm"] - 30
-    assert steered["contacts_mm"] < default["contacts_mm"] - 30
-    contacts, anchor = np.array(steered["contacts_m"]), np.array(steered["anchor_m"])
-    mean = np.linalg.norm(contacts - anchor, axis=1).mean()
-    assert steered["contacts_mm"] == pytest.approx(1e3 * mean)
+    by_name = {r["steering"]: r["contacts_mm"] for r in content["rows"]}
+    assert set(by_name) == {"default", "contacts", "axis", "between"}
+    assert max(by_name["axis"], by_name["contacts"]) < by_name["default"] - 30
     assert content["provenance"]["git"] and Image.open(out).width > 400
+
+
+def test_each_picture_of_steering_has_a_scale_of_its_own(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    figure = script("steering_figure")
+    score = np.r_[np.zeros(900), np.linspace(0.001, 0.003, 99), 0.02].astype(np.float32)
+    shade = figure._shade(score, 0.05)
+    assert np.all(shade[:900] == 0) and shade.max() == 1.0
+    assert np.median(shade[900:]) > 0.6, "one good point leaves the part lit"
+    assert np.all(np.diff(shade[900:]) >= 0)
+    assert np.array_equal(figure._shade(np.zeros(5), 0.05), np.zeros(5))
+
+
+def test_steering_by_numbers_on_one_object(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    numbers = script("steering_numbers")
+    out = tmp_path / "numbers.json"
+    numbers.main(numbers.NumbersConfig(objects=("wine_glass",), out=out))
+    rows = json.loads(out.read_text())["rows"]
+    assert len(rows) == (3 + 6) * 4
+    assert {r["place"] for r in rows if r["kind"] == "part"} == {"stem", "rim", "foot"}
+    stem = {r["steering"]: r for r in rows if r["place"] == "stem"}
+    assert stem["contacts"]["on_part"] and not stem["axis"]["on_part"]
+    assert stem["contacts"]["contacts_mm"] < 20 < stem["axis"]["contacts_mm"]
+    for row in rows:
+        assert row["contacts_mm"] == pytest.approx(np.mean(row["apart_mm"]), abs=0.01)
+        assert (row["on_part"] is None) == (row["kind"] == "side")
+        assert row["contacts_mm"] >= row["nearest_mm"] - 0.01 or row["quality"] < 0.05
 
 
 def test_the_table_of_convex_pieces(tmp_path, monkeypatch):

@@ -13,7 +13,8 @@ from typed import refusal
 
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import load_heatmap
-from mjx_grasp.heatmap.steering import steer_near
+from mjx_grasp.heatmap.steering import steer_near, steer_to
+from mjx_grasp.objects.catalogue import load_catalogue
 
 COARSE = ("--edge", "0.04")
 
@@ -128,12 +129,13 @@ def test_the_contact_sheet_shows_every_mesh(done):
 def test_an_anchor_steers_and_flags_override_the_hand(folder, tmp_path):
     run = heatmaps(
         folder / "slab.obj", "--out", tmp_path, "--anchor", "0.03", "0.0", "-0.04", "--sigma",
-        "0.01", "--span", "0.03", "0.05", "--friction", "0.7", "--between-contacts",
-        "--edge", "0.02",
+        "0.01", "--span", "0.03", "0.05", "--friction", "0.7", "--steering",
+        "between", "--edge", "0.02",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     stored = load_heatmap(tmp_path / "slab.npz")
     assert stored.info.anchor == (0.03, 0.0, -0.04) and stored.info.sigma == 0.01
+    assert (stored.info.steering, stored.info.size) == ("between", None)
     assert (stored.info.span, stored.info.friction) == ((0.03, 0.05), 0.7)
     expected = steer_near(stored.heatmap, np.float32([0.03, 0.0, -0.04]), 0.01)
     assert np.allclose(stored.heatmap.score, expected, atol=1e-6)
@@ -160,12 +162,36 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
     assert run.returncode == 1
     assert "failed: slab: 'by the handle'" in run.stderr and "top, bottom" in run.stderr
     anchor = load_heatmap(tmp_path / "out" / "025_mug.npz").info.anchor
-    assert np.allclose(anchor, [0.545, -0.039, 0.003], atol=1e-3)
+    handle = load_catalogue()["mug"].parts["handle"]
+    info = load_heatmap(tmp_path / "out" / "025_mug.npz").info
+    assert np.allclose(anchor, np.add(handle.at, [0.5, 0, 0]), atol=1e-3)
+    assert (info.steering, info.size, info.sigma) == ("contacts", handle.size, None)
     run = heatmaps(
         meshes / "slab.obj", "--out", tmp_path / "top", "--instruction", "the top", *COARSE
     )
     assert run.returncode == 0, run.stderr
     assert np.allclose(load_heatmap(tmp_path / "top" / "slab.npz").info.anchor, [0, 0, 0.06])
+
+
+@pytest.mark.parametrize("steering", ["contacts", "axis"])
+def test_a_part_of_a_mesh_steers_by_its_size_or_as_published(tmp_path, steering):
+    slab().export(tmp_path / "slab.obj")
+    part = "parts: {grip: {at: [0.03, 0.0, 0.04], size: [0.03, 0.05, 0.05]}}"
+    (tmp_path / "slab.yaml").write_text(part)
+    out = tmp_path / "out"
+    run = heatmaps(
+        tmp_path / "slab.obj", "--out", out, "--instruction", "the grip", "--edge", "0.01",
+        "--steering", steering,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    stored = load_heatmap(out / "slab.npz")
+    place = np.float32([0.03, 0.0, 0.04]), np.float32([0.03, 0.05, 0.05])
+    expected = steer_to(stored.heatmap, *place, steering=steering)
+    assert np.allclose(stored.heatmap.score, expected, atol=1e-6)
+    best = json.loads((out / "slab.triples.json").read_text())["triples"][0]
+    contacts = np.array([best["thumb"], *best["wrap"]])
+    on_part = np.abs(contacts - place[0]).max(axis=0) <= place[1] / 2 + 1e-4
+    assert on_part.all() or steering == "axis"
 
 
 @pytest.mark.parametrize(
@@ -182,7 +208,8 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
         (["{folder}", "--span", "0.09", "0.02"], "--span"),
         (["{folder}", "--friction", "0"], "--friction"),
         (["{folder}", "--sigma", "-1"], "--sigma"),
-        (["{folder}", "--between-contacts"], "an --anchor or an --instruction"),
+        (["{folder}", "--steering", "axis"], "an --anchor or an --instruction"),
+        (["{folder}", "--sigma", "0.01"], "an --anchor or an --instruction"),
         (["{folder}", "--out", "{folder}/slab.obj/maps"], "can be written (Not a directory)"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),

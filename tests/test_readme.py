@@ -131,12 +131,19 @@ def test_the_stages_before_closing_have_their_tables(root):
         "provenance": PROVENANCE,
     }
     (results / "reach_sweep_h200.json").write_text(json.dumps(sweep))
-    steering = {"object": "mug", "instruction": "by the handle"}
+    part = {"object": "mug", "place": "handle", "kind": "part", "split": "train", "mesh": "scan"}
+    part |= {"nearest_mm": 7.5, "quality": 0.25}
+    side = part | {"place": "top", "kind": "side", "nearest_mm": 20.5, "on_part": None}
+    off = {"on_part": False, "choice_on_part": 0.25, "outside_mm": [1.0, 8.5, 0.0]}
+    on = {"on_part": True, "choice_on_part": 0.9}
     rows = [
-        steering | {"steering": "default", "sigma_m": None, "contacts_mm": 51.4},
-        steering | {"steering": "in line", "sigma_m": 0.02, "contacts_mm": 17.6},
+        part | off | {"steering": "default", "contacts_mm": 51.4},
+        part | on | {"steering": "contacts", "contacts_mm": 17.6, "outside_mm": [0.0, 0.0, 0.0]},
+        side | {"steering": "default", "contacts_mm": 40.0, "outside_mm": [1.0, 1.0, 1.0]},
+        side | {"steering": "contacts", "contacts_mm": 40.0, "outside_mm": [1.0, 1.0, 1.0]},
     ]
-    (results / "steering.json").write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
+    numbers = {"rows": rows, "provenance": PROVENANCE, "settings": {"usable": 0.05}}
+    (results / "steering_numbers.json").write_text(json.dumps(numbers))
     route = {"object": "golf_ball", "mesh": "scan", "instruction": "the top", "poses": 12}
     route |= {"handed_off": 9, "lifted": 5, "provenance": PROVENANCE}
     (results / "route.json").write_text(json.dumps(route))
@@ -166,7 +173,11 @@ def test_the_stages_before_closing_have_their_tables(root):
         "1. `the first of two` at 0123456789ab-dirty on a card, JAX 0.10.2\n2. `python -m",
     ):
         assert text in detail
-    assert "| mug | by the handle | 51 | 18 |" in detail
+    assert "| mug | handle | scan | 51 / 8 | 18 / 0 | 0.25 |" in detail
+    assert "| parts | 1 | contacts | 17.6 | 100.0 | 100.0 | 90.0 | 0.25 |" in detail
+    assert "| sides | 1 | contacts | 40.0 | 0.0 |  |  | 0.25 |" in detail
+    assert "| all | 2 | default | 45.7 |  | 0.0 | 25.0 | 0.25 |" in detail
+    assert "2 places on 1 object. " in detail and "are at 14.0 mm by" in detail
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
     assert "12 random poses of one object (golf ball, scan, “the top”): 9 reaches" in detail

@@ -33,7 +33,7 @@ from jaxtyping import Int
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.heatmap.colours import score_colours
-from mjx_grasp.heatmap.steering import Heatmap
+from mjx_grasp.heatmap.steering import Heatmap, Steering
 from mjx_grasp.records.archive import (
     ArchiveKind,
     Arrays,
@@ -44,7 +44,7 @@ from mjx_grasp.records.archive import (
     write_archive,
 )
 from mjx_grasp.records.atomic import replacing
-from mjx_grasp.records.settings import Finite, NonNegative, Positive, Settings
+from mjx_grasp.records.settings import Finite, NonNegative, Positive, Settings, added
 
 TERMS = ("width", "thumb", "wrap", "coherence", "com", "separation")
 
@@ -84,7 +84,11 @@ class HeatmapInfo(Settings):
     anchor: tuple[Finite, Finite, Finite] | None = None
     """What the scores are steered to, object frame [m]; None for the default heatmap."""
     sigma: Positive | None = None
-    """Scale of the distance from the anchor to the grasp axis [m]."""
+    """Scale of the distance from the anchor [m]; None for that of `steer_to`."""
+    steering: Steering | None = added(None, absent=None)
+    """What has to be near the anchor; None for the default heatmap, and where it is not known."""
+    size: tuple[NonNegative, NonNegative, NonNegative] | None = added(None, absent=None)
+    """Edges of the part around the anchor [m]; None for a point."""
 
 
 @dataclass(frozen=True, eq=False)

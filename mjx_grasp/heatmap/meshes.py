@@ -17,7 +17,7 @@ from mjx_grasp.geometry.mesh import principal_frame
 from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
-from mjx_grasp.heatmap.steering import steer_to
+from mjx_grasp.heatmap.steering import Steering, steer_to
 from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Several
 from mjx_grasp.robot.spec import load_robot
 
@@ -37,8 +37,12 @@ class MeshConfig(CommandSettings):
     """a mesh (.obj, .ply, .stl, .glb, .off; metres)"""
     anchor: Point | None = None
     """point that grasps are steered to, in the frame of the mesh; none without one [m]"""
-    sigma: Positive = 0.030
-    """how near to the anchor a grasp's axis should pass [m]"""
+    steering: Steering = "contacts"
+    """what has to be near the anchor: all three contacts, the grasp's axis (the publication's
+    formula), or the middle of the grasp, between the contacts"""
+    sigma: Positive | None = None
+    """distance from the anchor at which a score falls to 1/e; by default 0.03, or as a named part
+    is large [m]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot whose hand grasps"""
     span: Span | None = None
@@ -79,12 +83,22 @@ def heatmap_of_mesh(
 
 
 def steered(
-    stored: StoredHeatmap, anchor: Float[np.ndarray, " 3"], sigma: float, between_contacts: bool
+    stored: StoredHeatmap,
+    anchor: Float[np.ndarray, " 3"],
+    size: Float[np.ndarray, " 3"] | None = None,
+    sigma: float | None = None,
+    steering: Steering = "contacts",
 ) -> StoredHeatmap:
     """A heatmap with its scores steered to an anchor; see `steer_to`."""
-    score = steer_to(stored.heatmap, jnp.asarray(anchor), sigma, between_contacts)
+    score = steer_to(stored.heatmap, jnp.asarray(anchor), size, sigma, steering)
     heatmap = jax.tree.map(np.asarray, stored.heatmap._replace(score=score))
-    info = replace(stored.info, anchor=_point(anchor), sigma=sigma)
+    info = replace(
+        stored.info,
+        anchor=_point(anchor),
+        sigma=sigma,
+        steering=steering,
+        size=None if size is None or not np.any(size) else _point(size),
+    )
     return replace(stored, heatmap=heatmap, info=info)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int, UInt8
 
 from mjx_grasp.errors import MjxGraspError
 from mjx_grasp.language.camera import PinholeCamera
-from mjx_grasp.objects.catalogue import Point
+from mjx_grasp.objects.catalogue import Part
 
 
 class GroundingError(MjxGraspError, ValueError):
@@ -50,8 +50,8 @@ class Target:
     name: str
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    parts: Mapping[str, Point] = field(default_factory=dict)
-    """Centre points of named parts."""
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    """Named parts."""
     view: View | None = None
     """For grounders that look."""
 
@@ -64,6 +64,8 @@ class Anchor:
     """Object frame [m]."""
     source: str
     """Where it comes from, in words: a part, a side, a pixel."""
+    size: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    """Edges of the box around it that a part fills, along the object's axes [m]; 0 of a point."""
 
 
 class Grounder(Protocol):
@@ -78,16 +80,19 @@ class Grounder(Protocol):
         ...
 
 
-def target_of(name: str, mesh: trimesh.Trimesh, parts: Mapping[str, Point] | None = None) -> Target:
+def target_of(name: str, mesh: trimesh.Trimesh, parts: Mapping[str, Part] | None = None) -> Target:
     """A mesh as a target, with its parts moved to the frame of the mesh, wherever its origin lies.
 
     Args:
         name: Of the object.
         mesh: In [m].
-        parts: Named points relative to the centre of the bounding box [m], as the catalogue and
+        parts: Named parts relative to the centre of the bounding box [m], as the catalogue and
             `parts_of` have them.
     """
     centre = np.asarray(mesh.bounds, np.float64).mean(axis=0)
     x, y, z = (float(c) for c in centre)
-    moved = {part: (p[0] + x, p[1] + y, p[2] + z) for part, p in (parts or {}).items()}
+    moved = {
+        name: part._replace(at=(part.at[0] + x, part.at[1] + y, part.at[2] + z))
+        for name, part in (parts or {}).items()
+    }
     return Target(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), moved)

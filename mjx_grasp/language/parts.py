@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mjx_grasp.language.grounding import Anchor, GroundingError, Target
-from mjx_grasp.objects.catalogue import Point
+from mjx_grasp.objects.catalogue import Part
 
 SIDES: Mapping[str, tuple[float, float, float]] = {
     "top": (0.0, 0.0, 1.0),
@@ -56,7 +56,7 @@ class PartGrounder:
     """
 
     def ground(self, instruction: str, target: Target) -> Anchor:
-        """The centre of the part or side that the instruction names, object frame.
+        """The centre of the part or side that the instruction names, with a part's size.
 
         Raises:
             GroundingError: The instruction names none or several that this object has.
@@ -74,19 +74,20 @@ class PartGrounder:
             raise GroundingError(instruction, f"{several} at once", known)
         (name,) = named
         kind = "part" if name in target.parts else "side"
-        return Anchor(np.array(regions[name], np.float64), f"{kind}: {name}")
+        part = regions[name]
+        return Anchor(np.array(part.at), f"{kind}: {name}", np.array(part.size))
 
 
-def _regions(target: Target) -> dict[str, Point]:
-    """Parts, then sides, by name: centres in the object frame [m]. A part hides a side's name."""
+def _regions(target: Target) -> dict[str, Part]:
+    """Parts, then sides, by name. A part hides a side's name."""
     low, high = target.vertices.min(axis=0), target.vertices.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     sides = {name: middle + half * direction for name, direction in SIDES.items()}
-    points = {name: (float(p[0]), float(p[1]), float(p[2])) for name, p in sides.items()}
+    points = {n: Part((float(p[0]), float(p[1]), float(p[2]))) for n, p in sides.items()}
     return {**target.parts, **{n: p for n, p in points.items() if n not in target.parts}}
 
 
-def _meant(word: str, regions: Mapping[str, Point]) -> set[str]:
+def _meant(word: str, regions: Mapping[str, Part]) -> set[str]:
     """Regions of this object that a word names; a part's synonym goes before a side's."""
     if word in regions:
         return {word}

@@ -21,6 +21,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,7 @@ from mjx_grasp.records.settings import Count, NonNegative, Positive, Settings
 BINS = 1000
 """Coordinates are whole numbers below this."""
 
+_WEIGHTS = "weights of Rex-Omni (yours to get; their licence is for research)"
 _ANSWER = re.compile(
     r"<\|object_ref_start\|>\s*(.*?)\s*<\|object_ref_end\|>\s*<\|box_start\|>(.*?)<\|box_end\|>",
     re.DOTALL,
@@ -98,9 +101,7 @@ class RexOmniGrounder:
             import torch
             from transformers import AutoProcessor, Qwen2_5_VLForConditionalGeneration
         except ImportError as error:
-            raise InputError(
-                "extra", f"no {error.name}", "pip install 'mjx_grasp[language]' for Rex-Omni"
-            ) from error
+            raise _no_extra(error.name) from error
         device = config.device
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -113,8 +114,7 @@ class RexOmniGrounder:
             )
         except (OSError, ValueError, RuntimeError) as error:
             first = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
-            expected = "weights of Rex-Omni (yours to get; their licence is for research)"
-            raise FileError(config.model, first, expected) from error
+            raise FileError(config.model, first, _WEIGHTS) from error
         return cls(model.eval(), processor, config)
 
     def ground(self, instruction: str, target: Target) -> Anchor:
@@ -164,6 +164,26 @@ class RexOmniGrounder:
             new, skip_special_tokens=False, clean_up_tokenization_spaces=False
         )
         return decoded[0]
+
+
+def check_ready(config: RexOmniConfig) -> None:
+    """Makes sure, in no time, that the extra and a folder of weights are there.
+
+    Raises:
+        FileError: There is no such folder, or no model in it.
+        InputError: The extra ``language`` is not installed.
+    """
+    folder = Path(config.model)
+    if not (folder / "config.json").is_file():
+        found = "no model (no config.json)" if folder.is_dir() else "no such folder"
+        raise FileError(folder, found, _WEIGHTS)
+    for name in ("torch", "transformers"):
+        if find_spec(name) is None:
+            raise _no_extra(name)
+
+
+def _no_extra(name: str | None) -> InputError:
+    return InputError("extra", f"no {name}", "pip install 'mjx_grasp[language]' for Rex-Omni")
 
 
 def build_prompt(instruction: str, object_name: str) -> str:

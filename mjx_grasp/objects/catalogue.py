@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from mjx_grasp.assets import asset_path
@@ -18,6 +19,15 @@ from mjx_grasp.objects.meshes import EXTENSIONS
 
 SPLITS = ("train", "held_out", "figure_only", "scaled")
 Point = tuple[float, float, float]
+
+
+class Part(NamedTuple):
+    """A named part of an object: a box along the object's axes, or a point if it has no size."""
+
+    at: Point
+    """its centre, object frame [m]"""
+    size: Point = (0.0, 0.0, 0.0)
+    """its edges [m]"""
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,14 @@ class ObjectInfo:
     """Uniform scale on scan and stand-in."""
     scan_of: str = ""
     """The object whose scan it uses; its own name unless it is a scaled copy."""
-    parts: Mapping[str, Point] = field(default_factory=dict)
-    """Named parts: centre points in the object frame [m]."""
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    """Named parts of its scan."""
+    stand_in_parts: Mapping[str, Part] = field(default_factory=dict)
+    """Those of its stand-in, where they are elsewhere: all of them, or none."""
+
+    def parts_on(self, scan: bool) -> Mapping[str, Part]:
+        """Named parts of its scan or of its stand-in."""
+        return self.parts if scan or not self.stand_in_parts else self.stand_in_parts
 
     @property
     def scan_names(self) -> tuple[str, ...]:
@@ -151,8 +167,26 @@ def _entry(e: Mapping[str, Any]) -> ObjectInfo:
         the_eight=e.get("the_eight", False),
         scale=e.get("scale", 1.0),
         scan_of=e.get("scan_of", e["name"]),
-        parts={name: _point(*centre) for name, centre in e.get("parts", {}).items()},
+        parts=_parts(e.get("parts", {})),
+        stand_in_parts=_parts(e.get("stand_in_parts", {})),
     )
+
+
+def _parts(content: Mapping[str, Any]) -> dict[str, Part]:
+    return {name: part_of(said) for name, said in content.items()}
+
+
+def part_of(said: Any) -> Part:
+    """A part as files say it: ``[x, y, z]``, or ``{at: [x, y, z], size: [x, y, z]}``, in metres.
+
+    Raises:
+        ValueError, TypeError: It is neither.
+    """
+    fields = dict(said) if isinstance(said, Mapping) else {"at": said}
+    part = Part(**{name: _point(*value) for name, value in fields.items()})
+    if not np.isfinite(part).all() or min(part.size) < 0:
+        raise ValueError(f"a part {said}")
+    return part
 
 
 def _point(x: float, y: float, z: float) -> Point:

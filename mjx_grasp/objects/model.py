@@ -18,7 +18,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
-from mjx_grasp.objects.catalogue import Asked, Point, find_objects, load_catalogue
+from mjx_grasp.objects.catalogue import Asked, Part, find_objects, load_catalogue
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
@@ -57,8 +57,8 @@ class ObjectModel:
     """Stable poses on the table, the most probable first."""
     content_hash: str
     """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
-    parts: Mapping[str, Point] = field(default_factory=dict)
-    """Named parts: centre points [m]."""
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    """Named parts."""
 
 
 def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
@@ -82,15 +82,16 @@ def _one(name: str) -> Asked:
     return asked[0]
 
 
-def _shape(asked: Asked, objects_dir: Path | None) -> tuple[trimesh.Trimesh, Mapping[str, Point]]:
+def _shape(asked: Asked, objects_dir: Path | None) -> tuple[trimesh.Trimesh, Mapping[str, Part]]:
     """Mesh and parts in the object frame [m]."""
     if asked.file is not None:
         mesh = read_mesh(asked.file.path)
         return centred(mesh), parts_of(asked.file, mesh)
     info = load_catalogue()[asked.name]
     if objects_dir is None:
-        return stand_in(info.scan_of, info.scale), info.parts
-    return centred(read_mesh(find_scan(objects_dir, info.scan_names)), info.scale), info.parts
+        return stand_in(info.scan_of, info.scale), info.parts_on(scan=False)
+    scan = read_mesh(find_scan(objects_dir, info.scan_names))
+    return centred(scan, info.scale), info.parts
 
 
 def load_object(
@@ -167,7 +168,7 @@ def load_objects(
 def _model(
     asked: Asked,
     mesh: trimesh.Trimesh,
-    parts: Mapping[str, Point],
+    parts: Mapping[str, Part],
     derived: Derived,
     objects_dir: Path | None,
     weight: Weight,

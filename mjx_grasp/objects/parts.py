@@ -10,14 +10,17 @@ import trimesh
 import yaml
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.catalogue import Point, catalogue_entry
+from mjx_grasp.objects.catalogue import Part, catalogue_entry, part_of
 from mjx_grasp.objects.folder import MeshFile
 
-_FORMAT = "parts: {NAME: [x, y, z], ...}, names of one lower-case word, metres"
+_FORMAT = (
+    "parts: {NAME: [x, y, z] or {at: [x, y, z], size: [x, y, z]}, ...}, names of one lower-case "
+    "word, metres"
+)
 _BEYOND = 0.1  # a part farther from the mesh's box than this share of its diagonal is a mistake
 
 
-def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Point]:
+def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Part]:
     """The parts of a mesh: those of the YAML file of the same name beside it.
 
     Without such a file a mesh that is called like a scan (``025_mug``) has the catalogue's parts,
@@ -28,7 +31,7 @@ def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Point]:
         mesh: As the file has it [m]; the file of parts has its points in that frame.
 
     Returns:
-        Centre points relative to the middle of the mesh's bounding box [m], as in the catalogue.
+        Parts relative to the middle of the mesh's bounding box, as in the catalogue.
 
     Raises:
         FileError: The file of parts is not of this form, or a part is not at the mesh.
@@ -41,28 +44,31 @@ def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Point]:
     margin = _BEYOND * float(np.linalg.norm(high - low))
     middle = 0.5 * (low + high)
     parts = {}
-    for name, point in _read(path).items():
+    for name, part in _read(path).items():
+        point = np.array(part.at)
         if (point < low - margin).any() or (point > high + margin).any():
             box = " to ".join(str(np.round(corner, 3).tolist()) for corner in (low, high))
             expected = f"a point [m] at {file.path.name}, which lies within {box}"
             raise FileError(path, f"{name} at {point.tolist()}", expected)
         x, y, z = (point - middle).tolist()
-        parts[name] = (x, y, z)
+        parts[name] = part._replace(at=(x, y, z))
     return parts
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """Points by name, in the frame of the mesh's file."""
+def _read(path: Path) -> dict[str, Part]:
+    """Parts by name, in the frame of the mesh's file."""
     try:
         content = yaml.safe_load(path.read_text())
         if set(content) != {"parts"}:
             raise ValueError(f"fields {', '.join(map(str, content))}")
-        parts = {name: np.array(at, np.float64) for name, at in content["parts"].items()}
-        for name, point in parts.items():
-            if not re.fullmatch("[a-z]+", name) or point.shape != (3,):
+        parts = {}
+        for name, said in content["parts"].items():
+            if not re.fullmatch("[a-z]+", name):
                 raise ValueError(f"part {name!r}")
-            if not np.isfinite(point).all():
-                raise ValueError(f"{name} at {point.tolist()}")
+            try:
+                parts[name] = part_of(said)
+            except (TypeError, ValueError):
+                raise ValueError(f"part {name!r}: {said}") from None
     except (OSError, yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
         said = " ".join(str(error).split())
         raise FileError(path, f"no parts that can be read ({said})", _FORMAT) from None

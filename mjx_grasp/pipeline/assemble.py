@@ -28,7 +28,8 @@ from mjx_grasp.robot.spec import RobotSpec
 
 CANDIDATES = 256
 """Of a heatmap, the best, among which reaching chooses."""
-_STEERED_SCORE = 0.5
+STEERED_SCORE = 0.5
+"""Of the best one: with less a candidate is not chosen where scores are steered [-]."""
 _GRAVITY = 9.81  # m/s²
 
 
@@ -51,7 +52,7 @@ def whole_grasps(
     """
     settings = reach_preset(preset)
     if steered:
-        selection = replace(settings.selection, min_score=_STEERED_SCORE)
+        selection = replace(settings.selection, min_score=STEERED_SCORE)
         settings = replace(settings, selection=selection)
     if settings.plan is None:
         if approach != "any":

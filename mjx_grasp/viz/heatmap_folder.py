@@ -18,7 +18,7 @@ from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
 from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
-from mjx_grasp.language.grounding import target_of
+from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, find_meshes
 from mjx_grasp.objects.meshes import read_mesh
@@ -29,6 +29,7 @@ from mjx_grasp.records.settings import NonNegative, Range, Seed, to_record
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import subject_of
 
+_LEAST = 0.05  # score of a triple; where scores are steered, against the best of the place
 _FARTHEST = 1.0  # an anchor farther from the mesh than its diagonal, times this, is a mistake
 
 
@@ -41,9 +42,6 @@ class HeatmapsConfig(MeshConfig):
     instruction: str | None = None
     """steers to a named place, such as "by the handle": a side (top, bottom, left, right, front,
     back, middle) or a part, of a scan of the catalogue or named in a YAML file beside the mesh"""
-    between_contacts: bool = False
-    """steers to grasps whose contacts have the anchor between them, not only in line with it (an
-    addition to the publication's method)"""
     triples: Annotated[int, Range(1, 10_000)] = 5
     """how many grasp triples to write per mesh [-]"""
     temperature: NonNegative = 0.0
@@ -58,8 +56,9 @@ class HeatmapsConfig(MeshConfig):
         if self.anchor is not None and self.instruction is not None:
             both = (self.anchor, self.instruction)
             raise InputError("--anchor and --instruction", both, "one of them at most")
-        if self.between_contacts and not self.steers:
-            raise InputError("--between-contacts", True, "an --anchor or an --instruction with it")
+        if not self.steers and (self.sigma is not None or self.steering != "contacts"):
+            expected = "an --anchor or an --instruction with it"
+            raise InputError("--steering or --sigma", "no place to steer to", expected)
 
     @property
     def steers(self) -> bool:
@@ -70,8 +69,7 @@ class HeatmapsConfig(MeshConfig):
 class _Job(NamedTuple):
     file: MeshFile
     mesh: trimesh.Trimesh
-    anchor: np.ndarray | None
-    source: str
+    anchor: Anchor | None
 
 
 def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> list[Row]:
@@ -127,17 +125,16 @@ def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:
     mesh = read_mesh(file.path)
     if config.instruction is not None:
         target = target_of(file.name, mesh, parts_of(file, mesh))
-        found = PartGrounder().ground(config.instruction, target)
-        return _Job(file, mesh, found.point, found.source)
+        return _Job(file, mesh, PartGrounder().ground(config.instruction, target))
     if config.anchor is None:
-        return _Job(file, mesh, None, "")
+        return _Job(file, mesh, None)
     anchor = np.array(config.anchor)
     outside = np.maximum(mesh.bounds[0] - anchor, anchor - mesh.bounds[1]).clip(0.0)
     if np.linalg.norm(outside) > _FARTHEST * np.linalg.norm(mesh.extents):
         low, high = (np.round(b, 3).tolist() for b in mesh.bounds)
         expected = f"a point [m] near {file.path.name}, which lies within {low} to {high}"
         raise InputError("--anchor", config.anchor, expected)
-    return _Job(file, mesh, anchor, "anchor")
+    return _Job(file, mesh, Anchor(anchor, "anchor"))
 
 
 def _make_one(
@@ -146,8 +143,9 @@ def _make_one(
     start = time.perf_counter()
     name = job.file.name
     stored = heatmap_of_mesh(name, job.mesh, grip, config.heatmap)
-    if job.anchor is not None:
-        stored = steered(stored, job.anchor, config.sigma, config.between_contacts)
+    place = job.anchor
+    if place is not None:
+        stored = steered(stored, place.point, place.size, config.sigma, config.steering)
     seconds = time.perf_counter() - start
     _write(stored, config)
     heatmap, faces = stored.heatmap, stored.faces
@@ -160,8 +158,9 @@ def _make_one(
         share_above_0_3=float(np.mean(heatmap.score > GOOD)),
         seconds=seconds,
     )
-    note = ", ".join(filter(None, (f"best {row.best_score:.2f}", job.source)))
-    subject = subject_of(heatmap, faces, triple=best_triple(heatmap), anchor=job.anchor)
+    note = f"best {row.best_score:.2f}" + (f", {place.source}" if place else "")
+    anchor = place.point if place else None
+    subject = subject_of(heatmap, faces, triple=best_triple(heatmap), anchor=anchor)
     return row, Cell(name, note, subject)
 
 
@@ -176,6 +175,7 @@ def _write(stored: StoredHeatmap, config: HeatmapsConfig) -> None:
         config.triples,
         temperature=config.temperature,
         min_distance=config.min_distance,
+        min_score=_LEAST * (float(stored.heatmap.score.max()) if config.steers else 1.0),
     )
     write_triples(config.out / f"{name}.triples.json", drawn, stored.info)
 
@@ -189,4 +189,4 @@ def _subtitle(config: HeatmapsConfig, span: tuple[float, float], friction: float
     text = f"hand span {1e3 * span[0]:g} to {1e3 * span[1]:g} mm, friction {friction:g}"
     if config.anchor is not None:
         text += f", anchor {', '.join(f'{1e3 * x:g}' for x in config.anchor)} mm"
-    return text + (f", sigma {1e3 * config.sigma:g} mm" if config.steers else "")
+    return text + (f", sigma {1e3 * config.sigma:g} mm" if config.sigma is not None else "")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import trimesh
@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.files import StoredHeatmap
+from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.language.grounding import GroundingError, Target
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.viz.heatmap import THUMB, WRAP
@@ -112,7 +113,7 @@ class Viewer:
         @self.anchor.on_update
         def _(_event: Any) -> None:
             x, y, z = (float(c) for c in self.anchor.position)
-            self.set(anchor=(x, y, z))
+            self.set(anchor=(x, y, z), size=(0.0, 0.0, 0.0))
 
         @self.server.on_client_connect
         def _(client: Any) -> None:
@@ -124,8 +125,10 @@ class Viewer:
         gui, settings = self.server.gui, self.settings
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
-        self.sigma = gui.add_slider("sigma [mm]", 5.0, 60.0, 1.0, 1e3 * settings.sigma)
-        self.between = gui.add_checkbox("between contacts", settings.between_contacts)
+        self.sigma = gui.add_slider("sigma [mm]", 1.0, 60.0, 0.5, 1e3 * settings.scale)
+        self.steering = gui.add_dropdown(
+            "near it", get_args(Steering), initial_value=settings.steering
+        )
         self.triples = gui.add_slider("triples", 1, MOST_TRIPLES, 1, settings.triples)
         self.to_best = gui.add_checkbox("yellow is the best score", settings.to_best)
         self.instruction = gui.add_text("go to", "", hint="by the handle, the top, …")
@@ -141,9 +144,9 @@ class Viewer:
         def _(_event: Any) -> None:
             self.set(sigma=1e-3 * self.sigma.value)
 
-        @self.between.on_update
+        @self.steering.on_update
         def _(_event: Any) -> None:
-            self.set(between_contacts=self.between.value)
+            self.set(steering=self.steering.value)
 
         @self.triples.on_update
         def _(_event: Any) -> None:
@@ -160,18 +163,23 @@ class Viewer:
 
     def _ground(self, instruction: str) -> None:
         try:
-            point = PartGrounder().ground(instruction, self.target).point
+            found = PartGrounder().ground(instruction, self.target)
         except GroundingError as error:
             self._note.content = f"{error}"
             return
-        self._move(tuple(point))
+        self._move(tuple(found.point), tuple(found.size))
+        self.set(sigma=None)
+        self.sigma.value = 1e3 * self.settings.scale
 
-    def _move(self, anchor: tuple[float, ...] | None) -> None:
+    def _move(
+        self, anchor: tuple[float, ...] | None, size: tuple[float, ...] = (0.0, 0.0, 0.0)
+    ) -> None:
         """Sets the anchor from the panel; the gizmo goes with it."""
         if anchor is not None:
             self.anchor.position = anchor
         self.anchor.visible = self.steered.value = anchor is not None
-        self.set(anchor=None if anchor is None else tuple(float(x) for x in anchor))
+        point = None if anchor is None else tuple(float(x) for x in anchor)
+        self.set(anchor=point, size=tuple(float(x) for x in size))
 
     def _draw(self) -> None:
         """Puts what is shown on the page, all at once."""

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.sampling import Triples, sample_triples
-from mjx_grasp.heatmap.steering import Heatmap, steer_to
-from mjx_grasp.records.settings import Finite, Positive, Range, Settings
+from mjx_grasp.heatmap.steering import SIGMA_M, Heatmap, Steering, contact_sigma, steer_to
+from mjx_grasp.records.settings import Finite, NonNegative, Positive, Range, Settings
 
 MOST_TRIPLES = 8
 TripleCount = Annotated[int, Range(1, MOST_TRIPLES)]
@@ -26,14 +26,25 @@ class ViewerSettings(Settings):
 
     anchor: tuple[Finite, Finite, Finite] | None = None
     """in the object frame; None for the default heatmap [m]"""
-    sigma: Positive = 0.030
-    """scale of the distance from the anchor to a grasp's axis [m]"""
-    between_contacts: bool = False
-    """whether the anchor should lie between the contacts, and not only in line with them"""
+    size: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    """of the part around the anchor, 0 of a point [m]"""
+    sigma: Positive | None = None
+    """distance from the anchor at which a score falls to 1/e; that of `steer_to` if None [m]"""
+    steering: Steering = "contacts"
+    """what has to be near the anchor"""
     triples: TripleCount = 3
     """how many of the best triples are drawn [-]"""
     to_best: bool = True
     """whether the yellow end of the scale is the best score, else 1"""
+
+    @property
+    def scale(self) -> float:
+        """Sigma, set or by default [m]."""
+        if self.sigma is not None:
+            return self.sigma
+        return (
+            float(contact_sigma(np.asarray(self.size))) if self.steering == "contacts" else SIGMA_M
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +82,8 @@ def show(heatmap: Heatmap, settings: ViewerSettings, min_distance: float = 0.02)
     """
     score = heatmap.score
     if settings.anchor is not None:
-        anchor = jnp.asarray(settings.anchor)
-        score = steer_to(heatmap, anchor, settings.sigma, settings.between_contacts)
+        place = jnp.asarray(settings.anchor), jnp.asarray(settings.size)
+        score = steer_to(heatmap, *place, settings.sigma, settings.steering)
     drawn = sample_triples(
         jax.random.key(0), heatmap, settings.triples, score,
         temperature=0.0, min_distance=min_distance, min_score=0.0,

@@ -49,7 +49,9 @@ def serve(config: ViewConfig, say: Callable[[str], None]) -> None:
     """
     import_viser()  # what is missing is an error before anything long
     check_host(config.host)
-    settings = ViewerSettings(config.anchor, config.sigma, triples=config.triples)
+    settings = ViewerSettings(
+        config.anchor, sigma=config.sigma, steering=config.steering, triples=config.triples
+    )
     viewer = Viewer(*load(config), settings, config.host, config.port)
     say(f"{viewer.url} shows {viewer.target.name}; Ctrl-C ends it")
     try:

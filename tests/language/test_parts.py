@@ -13,7 +13,9 @@ CATALOGUE = load_catalogue()
 
 def catalogue_target(name):
     return target_of(
-        name, stand_in(CATALOGUE[name].scan_of, CATALOGUE[name].scale), CATALOGUE[name].parts
+        name,
+        stand_in(CATALOGUE[name].scan_of, CATALOGUE[name].scale),
+        CATALOGUE[name].parts_on(scan=False),
     )
 
 
@@ -37,7 +39,9 @@ def box(shift=(0.0, 0.0, 0.0)):
 )
 def test_parts_and_their_synonyms(instruction, name, part):
     anchor = GROUNDER.ground(instruction, catalogue_target(name))
-    assert np.allclose(anchor.point, CATALOGUE[name].parts[part], atol=1e-9)
+    known = CATALOGUE[name].parts[part]
+    assert np.allclose(anchor.point, known.at, atol=1e-9)
+    assert np.array_equal(anchor.size, known.size)
     assert anchor.source == f"part: {part}"
 
 
@@ -58,14 +62,14 @@ def test_parts_and_their_synonyms(instruction, name, part):
 def test_sides_of_any_mesh_in_its_own_frame(instruction, point, shift):
     anchor = GROUNDER.ground(instruction, box(shift))
     assert np.allclose(anchor.point, np.add(point, shift))
-    assert anchor.source.startswith("side: ")
+    assert anchor.source.startswith("side: ") and not anchor.size.any()
 
 
 def test_parts_follow_a_scan_whose_origin_is_elsewhere():
     mesh = stand_in("mug")
     mesh.apply_translation([0.3, 0.1, -0.2])
     target = target_of("mug", mesh, CATALOGUE["mug"].parts)
-    expected = np.add(CATALOGUE["mug"].parts["handle"], [0.3, 0.1, -0.2])
+    expected = np.add(CATALOGUE["mug"].parts["handle"].at, [0.3, 0.1, -0.2])
     assert np.allclose(GROUNDER.ground("handle", target).point, expected, atol=1e-9)
 
 
@@ -73,9 +77,10 @@ def test_parts_follow_a_scan_whose_origin_is_elsewhere():
 def test_every_part_of_the_catalogue_is_found_by_its_name_and_is_on_the_object(name):
     target = catalogue_target(name)
     low, high = target.vertices.min(axis=0), target.vertices.max(axis=0)
-    for part, point in CATALOGUE[name].parts.items():
-        found = GROUNDER.ground(f"by the {part}", target).point
-        assert np.allclose(found, point)
+    for part, (at, size) in target.parts.items():
+        anchor = GROUNDER.ground(f"by the {part}", target)
+        found = anchor.point
+        assert np.allclose(found, at) and np.allclose(anchor.size, size)
         assert np.all(found > low - 0.01) and np.all(found < high + 0.01)
 
 

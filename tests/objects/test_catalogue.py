@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from mjx_grasp.errors import FileError, InputError
@@ -50,9 +51,21 @@ def test_every_entry_is_of_the_size_and_weight_of_something_held_in_a_hand():
 def test_parts_lie_in_or_near_the_stand_in():
     for info in load_catalogue().values():
         low, high = stand_in(info.scan_of, info.scale).bounds
-        for part, point in info.parts.items():
-            outside = max(max(a - p, p - b) for a, p, b in zip(low, point, high, strict=True))
-            assert outside < 0.01, f"{info.name}: {part}"
+        for name, part in info.parts_on(scan=False).items():
+            ends = [np.add(part.at, sign * np.divide(part.size, 2)) for sign in (-1, 1)]
+            outside = max((low - ends[0]).max(), (ends[1] - high).max())
+            assert outside < 0.015, f"{info.name}: {name}"
+            assert min(part.size) > 0.005, f"{info.name}: {name}"
+
+
+def test_parts_of_the_stand_in_are_those_of_the_scan_unless_it_says_otherwise():
+    known = load_catalogue()
+    assert known["mug"].parts_on(scan=False) is known["mug"].parts
+    drill = known["power_drill"]
+    assert drill.parts_on(scan=True) is drill.parts
+    assert drill.parts_on(scan=False) is drill.stand_in_parts
+    for info in known.values():
+        assert not info.stand_in_parts or set(info.stand_in_parts) == set(info.parts)
 
 
 def test_the_scaled_pitcher_is_the_pitcher_in_small():
@@ -63,8 +76,9 @@ def test_the_scaled_pitcher_is_the_pitcher_in_small():
     assert small.mass == whole.mass
     for a, b in zip(whole.published_dims_m, small.published_dims_m, strict=True):
         assert math.isclose(0.6 * a, b)
-    for part, point in whole.parts.items():
-        assert small.parts[part] == pytest.approx([0.6 * x for x in point], abs=1e-4)
+    for name, part in whole.parts.items():
+        for own, other in zip(small.parts[name], part, strict=True):
+            assert own == pytest.approx([0.6 * x for x in other], abs=1e-4)
 
 
 def test_resolve_keeps_the_order_and_names_everything_once():
@@ -123,6 +137,10 @@ def _entry(**changes):
         _entry(split="test"),
         _entry(published_dims_mm="[a]"),
         _entry(parts="{rim: [0, 0]}"),
+        _entry(parts="{rim: {at: [0, 0, 0], size: [0, 0, -0.01]}}"),
+        _entry(parts="{rim: {size: [0, 0, 0.01]}}"),
+        _entry(parts="{rim: {at: [0, 0, 0], radius: 0.01}}"),
+        _entry(parts="{rim: [0, 0, .inf]}"),
         _entry(parts="[rim]"),
         _entry() + _entry().removeprefix("objects:\n"),
     ],

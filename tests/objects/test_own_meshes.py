@@ -40,7 +40,7 @@ def test_a_mesh_is_an_object_in_the_object_frame(jug, cache):
     square = np.square(EXTENTS)
     np.testing.assert_allclose(np.diag(loaded.inertia), 0.3 / 12 * (square.sum() - square))
     assert len(loaded.pieces) == 1 and len(loaded.resting) == 6
-    assert loaded.parts["handle"] == pytest.approx((0.055, 0.0, 0.01))
+    assert loaded.parts["handle"].at == pytest.approx((0.055, 0.0, 0.01))
 
 
 def test_the_content_is_the_shape_whatever_the_file_is_called(jug, cache):
@@ -121,10 +121,15 @@ def test_one_object_is_not_a_folder(jug, tmp_path, cache):
 def test_parts_are_those_beside_the_mesh_or_of_the_scan(jug):
     mesh = trimesh.load_mesh(jug)
     parts = parts_of(MeshFile("jug", jug), mesh)
-    assert parts == {
+    assert {name: part.at for name, part in parts.items()} == {
         "handle": pytest.approx((0.055, 0.0, 0.01)),
         "spout": pytest.approx((-0.045, 0.0, 0.05)),
     }
+    assert all(part.size == (0.0, 0.0, 0.0) for part in parts.values())
+    boxed = "parts: {handle: {at: [0.055, 0, 0.07], size: [0.02, 0.02, 0.08]}}"
+    jug.with_suffix(".yaml").write_text(boxed)
+    (handle,) = parts_of(MeshFile("jug", jug), mesh).values()
+    assert handle.at == parts["handle"].at and handle.size == (0.02, 0.02, 0.08)
     jug.with_suffix(".yaml").unlink()
     assert parts_of(MeshFile("jug", jug), mesh) == {}
     assert parts_of(MeshFile("025_mug", jug), mesh) == load_catalogue()["mug"].parts
@@ -140,7 +145,10 @@ def test_parts_are_those_beside_the_mesh_or_of_the_scan(jug):
         ("parts: {handle: 3}", "part 'handle'"),
         ("parts: {handle: [0, 0]}", "part 'handle'"),
         ("parts: {handle: [0, 0, x]}", "no parts that can be read"),
-        ("parts: {handle: [0, 0, .nan]}", "handle at"),
+        ("parts: {handle: [0, 0, .nan]}", "part 'handle'"),
+        ("parts: {handle: {at: [0, 0, 0], size: 0.01}}", "part 'handle'"),
+        ("parts: {handle: {at: [0, 0, 0], size: [-1, 1, 1]}}", "part 'handle'"),
+        ("parts: {handle: {size: [0.1, 0.1, 0.1]}}", "part 'handle'"),
         ("parts: {Upper handle: [0, 0, 0]}", "part 'Upper handle'"),
         ("parts: {3: [0, 0, 0]}", "no parts that can be read"),
         ("parts: {handle: [55, 0, 70]}", "handle at [55.0, 0.0, 70.0]"),

@@ -1,12 +1,20 @@
 """A demo's stage, curves and page, of a grasp that is made up."""
 
+from dataclasses import replace
+
 import handmade
 import mujoco
 import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
+from mjx_grasp.heatmap.steering import steer_to
+from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.objects.model import object_mesh
+from mjx_grasp.pipeline.assemble import STEERED_SCORE
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.demo.page import Shown, demo_page
 from mjx_grasp.viz.demo.plots import Curves, Stage
@@ -72,3 +80,30 @@ def test_an_instruction_and_a_point_are_one_too_many():
     with pytest.raises(InputError, match="--instruction and --anchor"):
         DemoConfig(instruction="by the cap", anchor=(0.0, 0.0, 0.0))
     assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers
+
+
+def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_name():
+    glass = replace(
+        handmade.box(),
+        name="wine_glass",
+        mesh=object_mesh("wine_glass", None),
+        parts=load_catalogue()["wine_glass"].parts,
+    )
+    surface = heatmap_surface(glass.mesh)
+    arrays = np.asarray(surface.vertices), np.asarray(surface.faces)
+    heatmap = compute_heatmap(*arrays, None, (0.02, 0.09), 0.5)
+    at, size = (np.array(x) for x in glass.parts["stem"])
+    on_stem = {}
+    for steering in ("contacts", "axis"):
+        config = DemoConfig(object="wine_glass", instruction="by the stem", steering=steering)
+        steered = run._steered(heatmap, run._place(glass, config), config)
+        expected = steer_to(heatmap, at, size, steering=steering)
+        assert np.allclose(steered.score, expected / expected.max(), atol=1e-6)
+        assert steered.score.max() == 1.0 and "part: stem" in steered.source
+        # Among these the grasp is chosen.
+        good = np.flatnonzero(steered.score >= STEERED_SCORE)
+        contacts = np.concatenate([heatmap.thumb[good, None], heatmap.wrap[good]], axis=1)
+        on_stem[steering] = np.abs(contacts - at).max(axis=1) <= size / 2 + 1e-3
+    assert on_stem["contacts"].all() and not on_stem["axis"].all()
+    assert run._place(glass, DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
+    assert run._place(glass, DemoConfig()) is None

@@ -4,7 +4,7 @@ import pytest
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.colours import score_colours
 from mjx_grasp.heatmap.files import TERMS
-from mjx_grasp.heatmap.steering import Heatmap, steer
+from mjx_grasp.heatmap.steering import Heatmap, steer, steer_contacts
 from mjx_grasp.viz.viewer_state import ViewerSettings, show
 
 
@@ -42,7 +42,7 @@ def test_without_an_anchor_the_default_heatmap_is_shown():
 
 @pytest.mark.parametrize("anchor", [(0.06, -0.03, 0.0), (-0.08, 0.08, 0.3)])
 def test_scores_colours_and_triple_follow_the_anchor(anchor):
-    shown = show(PLATE, ViewerSettings(anchor, sigma=0.02))
+    shown = show(PLATE, ViewerSettings(anchor, sigma=0.02, steering="axis"))
     assert np.allclose(shown.score, steer(PLATE, np.float32(anchor), 0.02))
     assert np.allclose(shown.triples.thumb[0, :2], anchor[:2], atol=1e-6)
     yellow = np.argmax(shown.colours.astype(int).sum(axis=1))
@@ -51,7 +51,10 @@ def test_scores_colours_and_triple_follow_the_anchor(anchor):
 
 def test_a_wider_sigma_colours_more():
     counts = [
-        (show(PLATE, ViewerSettings((0.0, 0.0, 0.0), sigma=s)).colours[:, 1] > 120).sum()
+        (
+            show(PLATE, ViewerSettings((0.0, 0.0, 0.0), sigma=s, steering="axis")).colours[:, 1]
+            > 120
+        ).sum()
         for s in (0.01, 0.03, 0.06)
     ]
     assert counts[0] < counts[1] < counts[2]
@@ -91,5 +94,16 @@ def test_settings_that_cannot_work_are_refused(field, value):
 
 def test_between_the_contacts_is_stricter_than_in_line():
     above = (0.0, 0.0, 0.1)
-    line, near = (show(PLATE, ViewerSettings(above, between_contacts=b)) for b in (False, True))
+    line, near = (show(PLATE, ViewerSettings(above, steering=s)) for s in ("axis", "between"))
     assert line.best > 0.7 and near.best < 0.01
+
+
+def test_contacts_are_judged_by_default_and_a_part_by_its_size():
+    anchor, size = (0.05, 0.0, 0.0), (0.04, 0.06, 0.05)
+    point, part = ViewerSettings(anchor), ViewerSettings(anchor, size=size)
+    assert (point.scale, part.scale) == pytest.approx((0.03, 0.005))
+    assert ViewerSettings(anchor, size=size, sigma=0.02).scale == 0.02
+    assert np.allclose(show(PLATE, point).score, steer_contacts(PLATE, np.float32(anchor)))
+    drawn = show(PLATE, part).triples
+    contacts = np.concatenate([drawn.thumb[:1], drawn.wrap[0]])
+    assert np.all(np.abs(contacts - anchor) <= np.divide(size, 2) + 1e-6)

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Seed
 
@@ -23,8 +24,11 @@ class DemoConfig(CommandSettings):
     """which part or side of it: "by the cap"; by default anywhere good"""
     anchor: tuple[Finite, Finite, Finite] | None = None
     """or the point itself, object frame [m]"""
-    sigma: Positive = 0.030
-    """how near the grasp has to be to that [m]"""
+    steering: Steering = "contacts"
+    """what has to be near that: all three contacts, the grasp's axis (the publication's formula),
+    or the middle of the grasp, between the contacts"""
+    sigma: Positive | None = None
+    """how near; by default 0.03, or as a named part is large [m]"""
     seed: Seed = 0
     """of where the object lies, and of the plans"""
     out: Path = Path("demo")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,8 +24,8 @@ from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
-from mjx_grasp.heatmap.steering import Heatmap, steer_near
-from mjx_grasp.language.grounding import target_of
+from mjx_grasp.heatmap.steering import Heatmap, steer_to
+from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import known_object
@@ -98,12 +98,12 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     grasper = loaded_grasper(robot, config.policy, steered=config.steers)
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
-    anchor, source = _anchor(obj, config)
+    place = _place(obj, config)
     config.out.mkdir(parents=True, exist_ok=True)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
         with clock.step("heatmap"):
-            steered = _steered(heatmap_of(obj, robot.hand), anchor, source, config)
+            steered = _steered(heatmap_of(obj, robot.hand), place, config)
         with clock.step("start library"):
             library = start_library(grasper.reacher.body, grasper.planner.config)
         with clock.step("plan and grasp"):
@@ -144,22 +144,21 @@ def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
     return found
 
 
-def _anchor(obj: ObjectModel, config: DemoConfig) -> tuple[Float[np.ndarray, " 3"] | None, str]:
+def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
     if config.anchor is not None:
-        return np.asarray(config.anchor, np.float64), "by a point"
+        return Anchor(np.asarray(config.anchor, np.float64), "by a point")
     if config.instruction is None:
-        return None, "anywhere good"
+        return None
     target = target_of(obj.name, obj.mesh, obj.parts)
     found = PartGrounder().ground(config.instruction, target)
-    return found.point, f"“{config.instruction}” ({found.source})"
+    return replace(found, source=f"“{config.instruction}” ({found.source})")
 
 
-def _steered(
-    heatmap: Heatmap, anchor: Float[np.ndarray, " 3"] | None, source: str, config: DemoConfig
-) -> Steered:
-    score = heatmap.score
-    if anchor is not None:
-        score = steer_near(heatmap, jnp.asarray(anchor, jnp.float32), config.sigma)
+def _steered(heatmap: Heatmap, place: Anchor | None, config: DemoConfig) -> Steered:
+    score, anchor, source = heatmap.score, None, "anywhere good"
+    if place is not None:
+        anchor, source = place.point, place.source
+        score = steer_to(heatmap, anchor, place.size, config.sigma, config.steering)
     best = float(jnp.max(score))
     if best <= 0:
         raise InputError("object", config.object, "one that this hand can grasp there")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from jaxtyping import Float
@@ -29,7 +30,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import CANDIDATES, STEERED_SCORE
+from mjx_grasp.pipeline.assemble import CANDIDATES, STEERED_SCORE, steered_scores
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
@@ -95,8 +96,9 @@ def choice_on_part(
     """
     if not anchor.size.any():
         return None
-    best = np.argsort(-score, kind="stable")[:CANDIDATES]
-    chosen = best[score[best] >= STEERED_SCORE * score.max()]
+    scaled = np.asarray(steered_scores(heatmap, jnp.asarray(score)))
+    best = np.argsort(-scaled, kind="stable")[:CANDIDATES]
+    chosen = best[scaled[best] >= STEERED_SCORE]
     contacts = np.concatenate([heatmap.thumb[chosen, None], heatmap.wrap[chosen]], axis=1)
     outside = np.maximum(np.abs(contacts - anchor.point) - 0.5 * anchor.size, 0.0)
     return float(np.mean(np.linalg.norm(outside, axis=2).max(axis=1) <= ON_PART_M))

@@ -29,7 +29,9 @@ from mjx_grasp.robot.spec import RobotSpec
 CANDIDATES = 256
 """Of a heatmap, the best, among which reaching chooses."""
 STEERED_SCORE = 0.5
-"""Of the best one: with less a candidate is not chosen where scores are steered [-]."""
+"""With less a candidate is not chosen where scores are steered [-]."""
+STEERED_LEAST = 32
+"""Candidates that reach it at least: one or two are seldom within reach."""
 _GRAVITY = 9.81  # m/s²
 
 
@@ -44,7 +46,7 @@ def whole_grasps(
     Args:
         preset: What it is made from.
         steered: Whether the candidates' scores are those of an anchor: then only those are used
-            that it raises to half of the best, or reach would decide in its place.
+            that it raises high enough, or reach would decide in its place; see `known_object`.
         approach: From where the palm is to come.
 
     Raises:
@@ -104,10 +106,26 @@ def known_object(
         obj: The object.
         robot: Whose hand the candidates are for.
         heatmap: Of the object; computed here if None.
-        score: Steered scores; the heatmap's own if None.
+        score: Steered scores; the heatmap's own if None. They are scaled so that half of the best
+            counts, and no fewer than `STEERED_LEAST` candidates do.
         count: Candidates, the best by score.
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
-    score = None if score is None else jnp.asarray(score)
+    score = None if score is None else steered_scores(heatmap, jnp.asarray(score))
     weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight, com)
+
+
+def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:
+    """Steered scores on a scale on which those count that reach `STEERED_SCORE`.
+
+    These are all from half of the best one, and no fewer than the `STEERED_LEAST` best.
+
+    Args:
+        heatmap: Of the object.
+        score: Of its vertices, by an anchor.
+    """
+    ranked = jnp.sort(jnp.where(heatmap.valid, score, 0.0))[::-1]
+    least = ranked[min(STEERED_LEAST, len(ranked)) - 1] / STEERED_SCORE
+    top = jnp.clip(least, 1e-6 * ranked[0], ranked[0])
+    return jnp.minimum(score / jnp.maximum(top, 1e-30), 1.0)

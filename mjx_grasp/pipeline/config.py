@@ -28,8 +28,8 @@ class GrasperConfig(Settings):
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
     retries: WholeNumber = 1
-    """times that a grasp which found no contact or lost the object is begun again, away from its
-    thumb's contact [-]"""
+    """times that a grasp which was not reached, found no contact or lost the object is begun again,
+    in the latter cases away from its thumb's contact [-]"""
     avoided: NonNegative = 0.020
     """that far [m]"""
     dropped: PositiveOrNever = 0.060

@@ -176,6 +176,7 @@ class Grasper:
         state = state._replace(clock=state.clock + self.dt)
         parts = (self._reach, self._close, self._close, self._close, self._stop)
         after, done = jax.lax.switch(state.phase, parts, state, measured, known, seen)
+        after = self._begun_again(state, after, measured, known, seen)
         late = (after.phase < Phase.HOLDING) & (after.clock >= self.config.timeout_s)
         phase = jnp.where(late, Phase.FAILED, after.phase).astype(jnp.int32)
         enters = (phase != state.phase) & (jnp.arange(len(Phase)) == phase)
@@ -285,16 +286,12 @@ class Grasper:
             [Phase.FAILED, Phase.REACHING, Phase.HOLDING, Phase.LIFTING],
             Phase.CLOSING,
         )
-        again = self._start_reach(measured, known, seen, state.ways)
-        again = again._replace(stale=jnp.asarray(state.ways is not None))
-        reach = jax.tree.map(lambda a, b: jnp.where(goes_back, a, b), again, state.reach)
         state = state._replace(
             phase=phase.astype(jnp.int32),
             failure=reason.astype(jnp.int32),
             returns=state.returns + goes_back,
             retries=state.retries + retries,
             avoid=jnp.where(retries, before.contacts.position[0], state.avoid),
-            reach=reach,
             reference=measured.q,
             closing=ClosingMemory(
                 fresh=goes_back,
@@ -306,6 +303,28 @@ class Grasper:
             ),
         )
         return state, self._did(target, points, norm(points.position - measured.pad_pos))
+
+    def _begun_again(
+        self,
+        before: GraspState,
+        after: GraspState,
+        measured: Measured,
+        known: Known,
+        seen: Seen,
+    ) -> GraspState:
+        """Reaching starts anew, with new plans, after closing and once where it was in vain."""
+        in_vain = after.failure == Failure.NOT_REACHED
+        in_vain &= (before.failure == Failure.NONE) & (after.retries < self.config.retries)
+        phase = jnp.where(in_vain, Phase.REACHING, after.phase).astype(jnp.int32)
+        back = in_vain | ((phase == Phase.REACHING) & (before.phase != Phase.REACHING))
+        again = self._start_reach(measured, known, seen, before.ways)
+        again = again._replace(stale=jnp.asarray(before.ways is not None))
+        return after._replace(
+            phase=phase,
+            failure=jnp.where(in_vain, Failure.NONE, after.failure).astype(jnp.int32),
+            retries=after.retries + in_vain,
+            reach=jax.tree.map(lambda a, b: jnp.where(back, a, b), again, after.reach),
+        )
 
     def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
         """Presses with no less than the plan says, where the grip answers to load.

@@ -86,7 +86,7 @@ class NativePhysics:
         state: NativeState,
         params: WorldParams,
         ctrl: Float[Array, "w nu"],
-        push: Float[Array, "w 3"] | None = None,
+        wrench: Float[Array, "w 6"] | None = None,
     ) -> tuple[NativeState, Measured, Truth]:
         """See `Physics.step`.
 
@@ -94,15 +94,16 @@ class NativePhysics:
             state: Before.
             params: Of the worlds.
             ctrl: Position commands [rad].
-            push: Force on the object at its centre of mass during the tick, world frame [N].
+            wrench: On the object at its centre of mass during the tick, world frame: force [N],
+                torque [N m].
         """
-        push = jnp.zeros((len(ctrl), 3)) if push is None else push
+        wrench = jnp.zeros((len(ctrl), 6)) if wrench is None else wrench
         worlds = state.qpos.shape[0]
         shapes = {
             name: jax.ShapeDtypeStruct((worlds, *shape), dtype)
             for name, (shape, dtype) in self._readings.items()
         }
-        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params, push)
+        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params, wrench)
         state = NativeState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
         residual = inverse_dynamics_residual(
             self._rows,
@@ -137,19 +138,19 @@ class NativePhysics:
         return NativeState(**packed)
 
     def _step_host(
-        self, state: NativeState, params: WorldParams, push: Float[Array, "w 3"]
+        self, state: NativeState, params: WorldParams, wrench: Float[Array, "w 6"]
     ) -> dict[str, np.ndarray]:
         state, params = jax.tree.map(np.asarray, (state, params))
-        pushes = np.asarray(push)
+        wrenches = np.asarray(wrench)
         worlds = len(state.qpos)
         out = {n: np.empty((worlds, *s), d) for n, (s, d) in self._readings.items()}
 
         def run(thread: int) -> None:
             mine = self._workers[thread]
             for w in range(thread, worlds, self._threads):
-                mine[int(params.object_index[w])].step(
-                    w, state, float(params.friction[w]), float(params.mass_scale[w]), pushes[w], out
-                )
+                friction, mass_scale = float(params.friction[w]), float(params.mass_scale[w])
+                world = mine[int(params.object_index[w])]
+                world.step(w, state, friction, mass_scale, wrenches[w], out)
 
         list(self._pool.map(run, range(self._threads)))
         return out
@@ -217,7 +218,7 @@ class _World:
         state: NativeState,
         friction: float,
         mass_scale: float,
-        push: Float[np.ndarray, " 3"],
+        wrench: Float[np.ndarray, " 6"],
         out: dict[str, np.ndarray],
     ) -> None:
         self._apply(friction, mass_scale)
@@ -226,7 +227,7 @@ class _World:
         d.qvel[:] = state.qvel[w]
         d.qacc_warmstart[:] = state.warmstart[w]
         d.ctrl[:] = state.ctrl[w]
-        d.xfrc_applied[at.object_body, :3] = push
+        d.xfrc_applied[at.object_body] = wrench
         full = _times_full(d)
         for s in range(self._substeps):
             before = d.qvel.copy()

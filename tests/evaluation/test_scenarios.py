@@ -122,7 +122,7 @@ def slid(physics, force_of, seconds, z):
 
 
 def test_a_push_changes_momentum_by_its_impulse(box_world):
-    mass, force = box_world.scene.objects[0].mass, jnp.array([[0.6, -0.3, 0.0]])
+    mass, force = box_world.scene.objects[0].mass, jnp.array([[0.6, -0.3, 0, 0, 0, 0]])
     _, velocity = slid(box_world, lambda v, t: force, 0.1, z=0.6)  # it falls freely
     expected = [0.6 * 0.1 / mass, -0.3 * 0.1 / mass, -9.81 * 0.1]
     np.testing.assert_allclose(velocity[-1], expected, rtol=1e-3)
@@ -134,7 +134,8 @@ def test_a_belt_takes_the_object_along_and_stops_with_it(box_world):
     given = drawn(Scenario(belt=belt), 1, box_world.scene.objects[0].mass)
 
     def force(velocity, t):
-        return circumstances.belt_force(given, velocity, jnp.zeros(1), t[None])
+        rise, high = jnp.zeros(1), jnp.full(1, height)
+        return circumstances.belt_wrench(given, velocity, rise, high, t[None])
 
     pos, velocity = slid(box_world, force, 1.5, height)
     np.testing.assert_allclose(velocity[50:100, 1].mean(), 0.1, atol=0.01)
@@ -145,15 +146,17 @@ def test_a_belt_takes_the_object_along_and_stops_with_it(box_world):
 def test_a_belt_drags_with_no_more_than_friction_gives_and_only_on_the_table():
     given = drawn(Scenario(belt=BeltConfig(speed=0.3)))
     velocity = jax.random.normal(jax.random.key(0), (4, 3))
-    force = circumstances.belt_force(given, velocity, jnp.zeros(4), jnp.ones(4))
+    high = jnp.full(4, 0.03)
+    wrench = circumstances.belt_wrench(given, velocity, jnp.zeros(4), high, jnp.ones(4))
+    force, torque = np.split(np.asarray(wrench), 2, axis=1)
+    np.testing.assert_allclose(torque, np.cross([0, 0, -0.03], force), atol=1e-6)
     most = 2 * 0.8 * 0.5 * 9.81
     assert (np.linalg.norm(force, axis=1) <= most * (1 + 1e-5)).all() and (force[:, 2] == 0).all()
     for rise, since in ((0.01, 1.0), (0.0, -1.0)):
-        assert not circumstances.belt_force(
-            given, velocity, jnp.full(4, rise), jnp.full(4, since)
-        ).any()
+        up, when = jnp.full(4, rise), jnp.full(4, since)
+        assert not circumstances.belt_wrench(given, velocity, up, high, when).any()
     nothing = drawn(Scenario())
-    assert not circumstances.belt_force(nothing, velocity, jnp.zeros(4), jnp.ones(4)).any()
+    assert not circumstances.belt_wrench(nothing, velocity, jnp.zeros(4), high, jnp.ones(4)).any()
 
 
 def test_a_belt_waits_for_its_time_and_for_the_tips():
@@ -168,9 +171,9 @@ def test_a_belt_waits_for_its_time_and_for_the_tips():
 
 def test_a_push_in_the_hand_is_level_and_has_its_time():
     given = drawn(Scenario(hold_s=2.0, push=PushConfig(force=3.0, after_s=0.5, lasts_s=0.5)))
-    force = circumstances.push_force(given, jnp.array([0.4, 0.6, 1.1, jnp.nan]))
+    force = circumstances.push_wrench(given, jnp.array([0.4, 0.6, 1.1, jnp.nan]))
     np.testing.assert_allclose(np.linalg.norm(force, axis=1), [0, 3, 0, 0], rtol=1e-5)
-    assert (np.asarray(force)[:, 2] == 0).all()
+    assert (np.asarray(force)[:, 2:] == 0).all()
 
 
 def test_obstacles_hang_between_hand_and_object():

@@ -1,6 +1,7 @@
 """Laws of the controller of whole grasps: its phases, their transitions, its batches."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.pipeline.assemble import STEERED_LEAST, STEERED_SCORE, steered_scores
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
@@ -331,6 +333,30 @@ def test_closing_is_that_of_the_task_in_which_policies_are_trained(
 def test_periods_have_to_be_the_same(make):
     with pytest.raises(InputError, match="control_dt"):
         make(closing=replace(QUICK, control_dt=0.02))
+
+
+@pytest.mark.long
+def test_what_is_not_reached_is_planned_anew_once(make, home, known):
+    config = GrasperConfig(retries=1)
+    grasper = make(gate=NEVER, fine_distance=100.0, fine_timeout=0.05, config=config)
+    state = grasper.start(home, known, seen())
+    state, _ = ticks(grasper, state, home, known, seen(), 14)
+    assert (state.phase, state.failure, state.retries) == (Phase.REACHING, Failure.NONE, 1)
+    assert state.reach.clock < 0.1 and state.reach.tries == 0
+    state, _ = ticks(grasper, state, home, known, seen(), 14)
+    assert (state.phase, state.failure, state.retries) == (Phase.FAILED, Failure.NOT_REACHED, 1)
+
+
+@pytest.mark.wrong_types
+def test_steered_scores_count_from_half_of_the_best_and_no_fewer_than_some():
+    heatmap = SimpleNamespace(valid=jnp.arange(200) != 3)
+    few = jnp.exp(-0.2 * jnp.arange(200.0)).at[3].set(5.0)
+    scaled = np.asarray(steered_scores(heatmap, few))
+    assert (scaled[np.arange(200) != 3] >= STEERED_SCORE).sum() == STEERED_LEAST
+    assert scaled.max() == 1 and (np.diff(np.delete(scaled, 3)) <= 0).all()
+    many = jnp.linspace(0.2, 0.1, 200)
+    np.testing.assert_allclose(steered_scores(heatmap, many), many / 0.2, rtol=1e-6)
+    assert not np.any(steered_scores(heatmap, jnp.zeros(200)))
 
 
 def test_a_start_is_of_the_type_of_what_follows_so_that_a_loop_compiles_once(make, known, home):

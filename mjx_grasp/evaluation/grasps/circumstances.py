@@ -107,21 +107,23 @@ def draw_circumstances(
     )
 
 
-def belt_force(
+def belt_wrench(
     given: Circumstances,
     velocity: Float[Array, "w 3"],
     rise: Float[Array, " w"],
+    com_height: Float[Array, " w"],
     since: Float[Array, " w"],
-) -> Float[Array, "w 3"]:
-    """Force that makes a still table act on the object as a moving belt would [N].
+) -> Float[Array, "w 6"]:
+    """What makes a still table act on the object as a moving belt would, about its centre of mass.
 
-    μ m g along the belt cancels what the still table takes from an object that goes with it, and
-    up to as much drags towards the belt's velocity one that does not.
+    Where object and table meet, μ m g along the belt cancels what the still table takes from an
+    object that goes with it, and up to as much drags towards the belt's velocity one that does not.
 
     Args:
         given: Of the trials.
         velocity: Of the object [m/s].
         rise: Since the start [m].
+        com_height: Of the centre of mass above the table [m].
         since: Time since the belt began to move, negative before [s].
     """
     belt, mass = given.belt, given.mass
@@ -132,7 +134,9 @@ def belt_force(
     wanted = _BELT_GAIN * mass[:, None] * missing
     share = jnp.minimum(1.0, most / jnp.maximum(norm(wanted), 1e-9))
     force = most[:, None] * unit(belt.velocity) + share[:, None] * wanted
-    return jnp.where(moving[:, None], force, 0.0)
+    down = jnp.zeros_like(force).at[:, 2].set(-com_height)
+    wrench = jnp.concatenate([force, jnp.cross(down, force)], axis=-1)
+    return jnp.where(moving[:, None], wrench, 0.0)
 
 
 def belt_start(
@@ -153,8 +157,8 @@ def belt_start(
     return jnp.where(jnp.isinf(began) & (clock >= belt.starts_s) & near, clock, began)
 
 
-def push_force(given: Circumstances, held: Float[Array, " w"]) -> Float[Array, "w 3"]:
-    """The push in the hand [N].
+def push_wrench(given: Circumstances, held: Float[Array, " w"]) -> Float[Array, "w 6"]:
+    """The push in the hand, at the centre of mass: force [N], no torque.
 
     Args:
         given: Of the trials.
@@ -162,4 +166,5 @@ def push_force(given: Circumstances, held: Float[Array, " w"]) -> Float[Array, "
     """
     push = given.push
     acts = (held >= push.after_s) & (held < push.after_s + push.lasts_s)
-    return jnp.where(acts[:, None], push.force, 0.0)
+    force = jnp.where(acts[:, None], push.force, 0.0)
+    return jnp.concatenate([force, jnp.zeros_like(force)], axis=-1)

@@ -17,8 +17,9 @@ from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.state import Known
 
-_MOST_DRAWS = 20
-"""Poses drawn for each that is wanted, where they are to be away from something."""
+_DRAWS = 20
+"""Poses drawn for each that is wanted, and for ten more, where they are to be away from
+something."""
 
 
 class Away(NamedTuple):
@@ -56,13 +57,13 @@ def draw_problem(
     for obj in objects:
         rng = np.random.default_rng([seed, int(obj.content_hash[:8], 16)])
         resting = poses_at_rest(obj, config.standing)
-        wanted = trials if away is None else _MOST_DRAWS * trials
+        wanted = trials if away is None else _DRAWS * (trials + 10)
         p_wo, quat = sample_object_poses(resting, wanted, config, rng)
         if away is not None:
             kept = np.linalg.norm(p_wo - away.point, axis=1) >= away.distance
             p_wo, quat = p_wo[kept][:trials], quat[kept][:trials]
-        if len(p_wo) < trials:
-            raise InputError("away", away, "less: the object area ends before")
+            if len(p_wo) < trials:
+                raise InputError("away", away.distance, "less: the object area ends before [m]")
         drawn.append((p_wo, quat))
     return GraspProblem(
         object_index=np.repeat(np.arange(len(objects)), trials),

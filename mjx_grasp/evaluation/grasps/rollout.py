@@ -17,16 +17,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.evaluation.grasps.circumstances import (
     Circumstances,
-    belt_force,
     belt_start,
+    belt_wrench,
     draw_circumstances,
-    push_force,
+    push_wrench,
 )
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.plans import planned
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
@@ -225,11 +226,13 @@ def _segment(
         seen = _seen(tracked, carry.truth, given)
         grasp, done = jax.vmap(grasper.tick)(carry.grasp, carry.measured, known, seen)
         began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
-        velocity, rise = carry.truth.object_vel[:, :3], carry.truth.object_pos[:, 2] - base
-        force = belt_force(given, velocity, rise, grasp.clock - began)
-        force += push_force(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
+        p_wo, R_wo = _pose(carry.truth)
+        velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
+        since = grasp.clock - began
+        wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
+        wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
         ctrl = done.target[:, order]
-        state, measured, truth = physics.step(carry.physics, params, ctrl, force)
+        state, measured, truth = physics.step(carry.physics, params, ctrl, wrench)
         here = in_palm(measured, truth)
         reference = jnp.where(before[:, None], carry.reference, here)
         lifting = grasp.closing.closer.lifting

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Seed
@@ -29,6 +30,8 @@ class DemoConfig(CommandSettings):
     or the middle of the grasp, between the contacts"""
     sigma: Positive | None = None
     """how near; by default 0.03, or as a named part is large [m]"""
+    scenario: str = NOMINAL
+    """what happens meanwhile: a scenario by name, or a file of your own (.yaml)"""
     seed: Seed = 0
     """of where the object lies, and of the plans"""
     out: Path = Path("demo")

@@ -18,10 +18,11 @@ from rich.progress import Progress
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all
+from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all, home_tips
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.scenario import NOMINAL, load_scenarios
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
@@ -94,8 +95,12 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             written then.
     """
     check_new_folder("--out", config.out)
-    made, robot = provenance(config.seed), load_robot(config.robot)
-    grasper = loaded_grasper(robot, config.policy, steered=config.steers)
+    ((name, scenario),) = load_scenarios([config.scenario]).items()
+    made = provenance(config.seed)
+    robot = load_robot(config.robot).mounted(-scenario.table_height)
+    grasper = loaded_grasper(
+        robot, config.policy, steered=config.steers, approach=scenario.approach
+    )
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     place = _place(obj, config)
@@ -107,21 +112,25 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         with clock.step("start library"):
             library = start_library(grasper.reacher.body, grasper.planner.config)
         with clock.step("plan and grasp"):
-            problem, scene = draw_problem([obj], 1, config.seed), build_scene([obj], robot)
+            away = Away(home_tips(grasper), scenario.away) if scenario.away else None
+            problem = draw_problem([obj], 1, config.seed, away=away)
+            scene = build_scene([obj], robot)
             known = [known_object(obj, robot, steered.heatmap, jnp.asarray(steered.score))]
             physics = NativePhysics(scene, grasper.dt, threads=1)
             end, trace = grasp_all(
-                grasper, library, physics, known_of(known, problem), problem, seed=config.seed
+                grasper, library, physics, known_of(known, problem), problem, scenario, config.seed
             )
-        (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
+        (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt, scenario.hold_s)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)
         with clock.step("film"):
-            problem_of_film = _film(scene, obj, steered, contacts, trace, grasper.dt, config.out)
+            skin = _skin(obj, steered, contacts, end.obstacles[0])
+            problem_of_film = _film(scene, skin, trace, grasper.dt, config.out)
         result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
+        result["scenario"] = {"name": name, "description": scenario.description}
         with clock.step("page"):
             shown = Shown(
-                title=f"{obj.name.replace('_', ' ')}, {steered.source}",
+                title=_title(obj, steered, scenario.description if name != NOMINAL else None),
                 success=row.outcome == "success",
                 subject=_subject(obj, steered, contacts),
                 curves=_curves(trace, grasper.dt),
@@ -142,6 +151,11 @@ def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
     if len(found) != 1:
         raise InputError("object", config.object, f"one object, not {len(found)}")
     return found
+
+
+def _title(obj: ObjectModel, steered: Steered, happens: str | None) -> str:
+    words = [obj.name.replace("_", " "), steered.source, happens]
+    return ", ".join(word for word in words if word)
 
 
 def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
@@ -177,24 +191,24 @@ def _stages(trace: Trace, dt: float) -> list[Stage]:
     ]
 
 
-def _film(
-    scene: Scene,
+def _skin(
     obj: ObjectModel,
     steered: Steered,
     contacts: Float[np.ndarray, "3 3"],
-    trace: Trace,
-    dt: float,
-    out: Path,
-) -> str | None:
-    """Writes the trajectory and `grasp.mp4`; the reason where nothing can be rendered here."""
-    surface = heatmap_surface(obj.mesh)
-    skin = Skin(
+    obstacles: Float[np.ndarray, "k 4"],
+) -> Skin:
+    return Skin(
         np.asarray(steered.heatmap.vertices, np.float64),
-        np.asarray(surface.faces),
+        np.asarray(heatmap_surface(obj.mesh).faces),
         np.nan_to_num(steered.shade),
         contacts,
         steered.anchor,
+        obstacles,
     )
+
+
+def _film(scene: Scene, skin: Skin, trace: Trace, dt: float, out: Path) -> str | None:
+    """Writes the trajectory and `grasp.mp4`; the reason where nothing can be rendered here."""
     motion = record(
         stage_model(scene, skin), np.asarray(trace.qpos, np.float64)[:, 0], dt, FOCUS,
         scene.robot.identity,

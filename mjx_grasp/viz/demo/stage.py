@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -18,6 +19,7 @@ _SHADES = 256
 _AHEAD_M = 0.10  # of the palm, where the fingers are
 _FLOOR_M = -0.35
 _MARK_M, _ANCHOR_M = 0.0045, 0.0060
+_OBSTACLE = [0.80, 0.33, 0.22, 0.85]
 _TABLE, _FLOOR = [0.86, 0.83, 0.79, 1.0], [0.93, 0.94, 0.96, 1.0]
 
 
@@ -31,6 +33,8 @@ class Skin(NamedTuple):
     contacts: Float[np.ndarray, "3 3"]
     """of thumb, first and second wrap"""
     anchor: Float[np.ndarray, " 3"] | None
+    obstacles: Float[np.ndarray, "k 4"] | None = None
+    """spheres in the way, world frame: centre and radius [m]"""
 
 
 def stage_model(scene: Scene, skin: Skin) -> mujoco.MjModel:
@@ -46,9 +50,11 @@ def stage_model(scene: Scene, skin: Skin) -> mujoco.MjModel:
         geom.rgba = [*geom.rgba[:3], 0.0]
     _add_skin(spec, body, skin)
     for point, colour in zip(skin.contacts, (THUMB, WRAP, WRAP), strict=True):
-        _add_mark(body, point, colour, _MARK_M)
+        _add_ball(body, point, _opaque(colour), _MARK_M)
     if skin.anchor is not None:
-        _add_mark(body, skin.anchor, ANCHOR, _ANCHOR_M)
+        _add_ball(body, skin.anchor, _opaque(ANCHOR), _ANCHOR_M)
+    for x, y, z, radius in [] if skin.obstacles is None else skin.obstacles.tolist():
+        _add_ball(spec.worldbody, (x, y, z), _OBSTACLE, radius)
     spec.geom(TABLE_GEOM).rgba = _TABLE
     _add_floor(spec)
     palm = spec.body(scene.robot.hand.palm_body)
@@ -77,17 +83,18 @@ def _add_skin(spec: mujoco.MjSpec, body: mujoco.MjsBody, skin: Skin) -> None:
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="skin", material="scale", **_ONLY_SEEN)
 
 
-def _add_mark(
-    body: mujoco.MjsBody,
-    point: Float[np.ndarray, " 3"],
-    colour: tuple[int, int, int],
-    radius: float,
+def _opaque(colour: tuple[int, int, int]) -> list[float]:
+    return [*(c / 255.0 for c in colour), 1.0]
+
+
+def _add_ball(
+    body: mujoco.MjsBody, centre: Iterable[float], rgba: list[float], radius: float
 ) -> None:
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[radius, 0, 0],
-        pos=[float(x) for x in point],
-        rgba=[*(c / 255.0 for c in colour), 1.0],
+        pos=[float(x) for x in centre],
+        rgba=rgba,
         **_ONLY_SEEN,
     )
 

@@ -38,6 +38,7 @@ def test_a_reward_of_ones_own_is_logged_by_its_name(tmp_path):
     assert float(row["reward/gentle"]) <= 0.0 and (tmp_path / "run" / "policy.npz").is_file()
 
 
+@pytest.mark.long
 def test_another_robot_reaches(capsys):
     module = example("another_robot")
     outcome = module.main(EXAMPLES / "robot" / "six_axis.yaml", library_size=8000)

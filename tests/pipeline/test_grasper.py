@@ -172,6 +172,7 @@ def test_two_fingers_do_later_and_the_lift_ends_at_the_top(grasper, closing, hom
     assert state.phase == Phase.HOLDING and state.failure == Failure.NONE
 
 
+@pytest.mark.long
 def test_without_contact_it_gives_up(make, home, known):
     grasper = make(config=GrasperConfig(contact_s=0.1, lost=float("inf"), retries=0))
     state, _ = ticks(grasper, grasper.start(home, known, seen()), home, known, seen(), 14)

@@ -40,6 +40,7 @@ def _senseless_plan(reacher, p_wo, R_wo, seed):
     return Plans(jnp.asarray(rng.integers(0, 360, 3), jnp.int32), eye, eye, guide)
 
 
+@pytest.mark.long
 def test_no_guide_takes_the_hand_into_the_object(body):
     settings = for_sweep(reach_preset("default"))
     reacher = Reacher(body, settings.reach, settings.selection)

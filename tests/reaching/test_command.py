@@ -70,6 +70,7 @@ def test_an_infeasible_tick_commands_zero_and_is_counted(body, pressed):
     assert np.all(np.abs(done.velocity[~infeasible]).max(axis=1) > 0)
 
 
+@pytest.mark.long
 def test_an_infeasible_tick_that_escapes_is_counted_and_makes_nothing_worse(body, pressed):
     state, done, problem, before, after, safe = _tick(body, "default", *pressed)
     assert done.targets.valid.all()

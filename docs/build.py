@@ -107,8 +107,10 @@ def contents() -> str:
     """What leads from the first page to all others."""
     chapters = {
         "Guide": GUIDE,
-        "Reference": ("commands", "reference/public", "reference/base")
-        + tuple(f"reference/{name}" for name in packages()),
+        "Reference": (
+            *("commands", "reference/public", "reference/base"),
+            *(f"reference/{name}" for name in packages()),
+        ),
         "Project": ("examples", "results", "contributing", "changelog"),
     }
     trees = [

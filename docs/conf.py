@@ -1,4 +1,4 @@
-"""Sphinx's settings. Nothing is loaded from elsewhere: no font, no script, and equations are MathML.
+"""Sphinx's settings: nothing is loaded from elsewhere, no font, no script; equations are MathML.
 
 `docs/build.py` puts the pages together and calls Sphinx with these.
 """

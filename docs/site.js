@@ -1,8 +1,11 @@
-// Without a mathematical font on the reader's machine some browsers set subscripts on the line.
+// Without a mathematical font on the reader's machine some browsers leave subscripts on the line.
 document.addEventListener("DOMContentLoaded", () => {
-  const base = document.querySelector("math msub");
-  if (!base) return;
-  const [what, index] = [...base.children].map((part) => part.getBoundingClientRect());
-  const low = index.top + index.height / 2 - (what.top + what.height / 2);
-  document.documentElement.classList.toggle("no-math-font", low < 0.12 * what.height);
+  if (!document.querySelector("math")) return;
+  const probe = document.createElement("span");
+  probe.innerHTML = "<math><msub><mi>n</mi><mi>n</mi></msub></math>";
+  document.body.append(probe);
+  const [base, index] = [...probe.querySelectorAll("mi")].map((part) => part.getBoundingClientRect());
+  const low = index.top + index.height / 2 - (base.top + base.height / 2);
+  document.documentElement.classList.toggle("no-math-font", low < 0.25 * base.height);
+  probe.remove();
 });

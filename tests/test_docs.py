@@ -1,4 +1,4 @@
-"""The documentation: it builds without a warning, its links lead somewhere, and it leaves nothing out."""
+"""The documentation: it builds without a warning, its links lead somewhere, nothing is left out."""
 
 import os
 import re
@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_packaging import COMMANDS, module_name
@@ -162,8 +163,8 @@ def test_the_skeleton_of_a_driver_is_a_robot():
     closer = mjx_grasp.Closer.of(spec)
     points = mjx_grasp.ThreePoints(measured.pad_pos, -measured.pad_mat[..., 0])
     state = closer.start(measured, points)
-    still = np.zeros(closer.action_size, np.float32)
-    _, target = closer.tick(state, measured, points, np.zeros(3, bool), still)
+    untouched, still = jnp.zeros(3, bool), jnp.zeros(closer.action_size)
+    _, target = closer.tick(state, measured, points, untouched, still)
     driver.command(target)
     assert drives.sent.shape == (len(spec.joints),)
     driver.disconnect()

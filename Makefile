@@ -9,9 +9,9 @@ ARGS ?=
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed-$(subst $(comma),-,$(EXTRAS))
-SOURCES := mjx_grasp tests experiments benchmarks examples
+SOURCES := mjx_grasp tests experiments benchmarks examples docs
 
-.PHONY: help setup train demo test test-long lint format readme revision clean
+.PHONY: help setup train demo test test-long lint format docs readme revision clean
 .DEFAULT_GOAL := help
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make test       set up and run the tests; make test-long runs those that take minutes"
 	@echo "make setup      make the environment in .venv (EXTRAS=$(EXTRAS), PYTHON=$(PYTHON))"
 	@echo "make lint       style and types"
+	@echo "make docs       build the documentation into site/"
 	@echo "make revision   write the revision down, for a copy without .git"
 	@echo "make readme     put the numbers of experiments/results into the READMEs"
 
@@ -55,6 +56,9 @@ format: setup
 	$(BIN)/ruff check --fix $(SOURCES)
 	$(BIN)/ruff format $(SOURCES)
 
+docs: setup
+	JAX_PLATFORMS=cpu $(BIN)/python docs/build.py site
+
 readme: setup
 	$(BIN)/python experiments/make_readme.py
 
@@ -63,4 +67,4 @@ revision:
 	git describe --always --dirty --abbrev=40 --exclude '*' > REVISION
 
 clean:
-	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .venv build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

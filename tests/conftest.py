@@ -38,6 +38,7 @@ SUBSTEPS = 5
 # with them at the end. The order is that of measured times; what is not named follows.
 LONGEST_FIRST = (
     "test_grasper.py",
+    "test_docs.py",
     "test_reactivity.py",
     "test_planning.py",
     "test_controller.py",

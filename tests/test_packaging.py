@@ -18,8 +18,11 @@ COMMANDS = [p for p in SOURCES if '__name__ == "__main__"' in p.read_text()]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 GENERATED = re.compile(r"<!-- generated:([\w-]+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
 DOCUMENTS = "\n".join(
-    GENERATED.sub("", (ROOT / name).read_text())  # results keep the commands of their time
-    for name in ("README.md", "CONTRIBUTING.md", "docs/using.md", "experiments/README.md")
+    GENERATED.sub("", path.read_text())  # results keep the commands of their time
+    for path in (
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "experiments/README.md")),
+        *(ROOT / "docs").glob("*.md"),
+    )
 )
 EXTRAS = PROJECT["optional-dependencies"]
 

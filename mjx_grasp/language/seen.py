@@ -86,7 +86,7 @@ class GroundConfig(CommandSettings):
     """depth along the optical axis of every pixel: a .npy of metres, or a PNG of whole millimetres;
     0 where it was not measured"""
     camera: Path
-    """JSON of the intrinsics and of the poses of camera and object, see docs/using.md"""
+    """JSON of the intrinsics and of the poses of camera and object, see docs/heatmaps.md"""
     weights: Path
     """folder of Rex-Omni's weights: yours to get, licensed for research"""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "auto"

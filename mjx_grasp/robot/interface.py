@@ -41,7 +41,7 @@ class Measured(NamedTuple):
 class Robot(Protocol):
     """What drives a robot, real or simulated; the only place where a controller meets the world.
 
-    A control loop reads, ticks its controller and commands, once per control period:
+    A control loop reads, ticks its controller and commands, once per control period::
 
         robot.connect()
         while True:

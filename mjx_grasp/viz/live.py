@@ -221,7 +221,9 @@ class LiveGrasp:
         self.stop()
         self._beside.shutdown(wait=False, cancel_futures=True)
 
-    def _begin(self, index: int, p_wo: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " nq"]:
+    def _begin(
+        self, index: int, p_wo: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]
+    ) -> Float[np.ndarray, " nq"]:
         qpos = np.zeros(self.scene.model.nq, np.float32)
         qpos[self.scene.addresses.robot_qpos] = self._home
         qpos[self.scene.addresses.object_qpos] = np.concatenate([p_wo, quat])

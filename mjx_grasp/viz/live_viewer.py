@@ -34,8 +34,8 @@ from mjx_grasp.viz.viewer_state import ViewerSettings
 
 MOST_PUSH_N = 5.0
 _DRAW_EVERY = 5  # ticks: 20 pictures per second
-_CAMERA = np.array([1.55, -0.88, 0.72]), np.array([0.36, -0.06, 0.20])
-_FOV = 0.70  # rad
+_CAMERA = np.array([1.62, -0.93, 0.82]), np.array([0.30, -0.03, 0.26])
+_FOV = 0.75  # rad
 _AMBIENT = 0.4
 _TABLE, _PUSH = (205, 194, 178), (230, 120, 30)
 

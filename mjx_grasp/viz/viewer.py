@@ -109,11 +109,12 @@ class Viewer:
         with self._lock:
             self.settings = replace(self.settings, anchor=None, size=(0.0, 0.0, 0.0))
             self._take(stored, target)
-            self.steered.value = self.anchor.visible = False
-            self.server.gui.set_panel_label(target.name)
             self.anchor.position, self.anchor.scale = self._centre, _GIZMO * self._size
             self._draw_anchor()
             self._draw()
+        # Not under the lock, as it calls back.
+        self.steered.value = self.anchor.visible = False
+        self.server.gui.set_panel_label(target.name)
 
     def place(self, position: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]) -> None:
         """Moves the object with all that is drawn on it.

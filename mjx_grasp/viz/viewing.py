@@ -48,7 +48,8 @@ class ViewConfig(MeshConfig):
     """port to serve on; the next free one if it is taken"""
     live: bool = False
     """whether a simulated robot is there that grasps the object at the press of a button; what is
-    shown may then be an object of the catalogue too"""
+    shown may then be an object of the catalogue too, and an anchor is relative to the middle of its
+    bounding box"""
     also: tuple[str, ...] = ()
     """more objects to choose from on the live page: names and groups of the catalogue, meshes and
     folders of meshes"""

@@ -188,9 +188,12 @@ def test_the_page_runs_one_grasp_after_the_other_without_anybody_looking(live, o
         assert viewer.url.startswith("http://127.0.0.1:")
         wait(lambda: not viewer.grasp.disabled, 60)
         assert viewer.stop.disabled
-        viewer.chosen.value = "tall"  # as from the page, callbacks run
+        viewer.viewer.steered.value = True  # as from the page, callbacks run
+        wait(lambda: viewer.viewer.settings.anchor is not None)
+        viewer.chosen.value = "tall"
         wait(lambda: live.object_pose[0][2] == pytest.approx(0.0601))
         assert viewer.viewer.target.name == "tall"
+        wait(lambda: viewer.viewer.settings.anchor is None and not viewer.viewer.steered.value)
         where = live.object_pose[0].copy()
         viewer._jobs.put(viewer._drop)
         wait(lambda: not np.allclose(live.object_pose[0], where))

@@ -1,0 +1,108 @@
+"""The live page as somebody uses it: choose, drag, grasp, push, in a real browser."""
+
+import os
+import re
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from browser import browsing, drag, free_port, need_viser, number, on_screen, wait
+
+from mjx_grasp.geometry import so3
+from mjx_grasp.objects.model import load_object
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.live import LiveGrasp
+from mjx_grasp.viz.viewer_state import ViewerSettings
+
+SIZE = {"width": 1280, "height": 800}
+PHASE = re.compile(r"(reaching|closing|lifting|holding|failed) at [\d.]+ s")
+
+
+@pytest.fixture(scope="module")
+def viewer(robot):
+    """With fewer postures to start from than the command's."""
+    need_viser()
+    from mjx_grasp.viz.live_viewer import LiveViewer
+    from mjx_grasp.viz.viewing import ViewConfig, object_heatmap
+
+    settings = whole_grasps(steered=True)
+    plan = replace(settings.plan, library=4000)
+    grasper = grasper_of(robot, reaching=replace(settings, plan=plan))
+    objects = [load_object(name) for name in ("rubiks_cube", "tomato_soup_can")]
+    live = LiveGrasp(grasper, NativePhysics(build_scene(objects, robot), grasper.dt, threads=1))
+    heatmap = partial(object_heatmap, ViewConfig(Path("rubiks_cube"), live=True))
+    made = LiveViewer(live, heatmap, ViewerSettings(), port=free_port())
+    yield made
+    made.close()
+
+
+@pytest.mark.long
+def test_choose_drag_grasp_and_push(viewer, tmp_path):
+    def words():
+        return page.inner_text("body")
+
+    def phase():
+        found = PHASE.search(words())
+        return found and found.group(1)
+
+    def in_world(point):
+        p_wo, quat = viewer.live.object_pose
+        return p_wo + np.asarray(so3.quat_to_mat(jnp.asarray(quat))) @ point
+
+    def keep(name):
+        for folder in filter(None, (tmp_path, os.environ.get("MJX_GRASP_SCREENSHOTS"))):
+            page.screenshot(path=Path(folder) / name)
+        print(tmp_path / name)
+
+    with browsing(viewer.url, SIZE) as page:
+        wait(lambda: "compiling" in words() or "drawing" in words(), 60)
+        page.locator("//label[.='object']/following::input[1]").click()
+        page.get_by_role("option", name="tomato_soup_can").click()
+        wait(lambda: viewer.viewer.target.name == "tomato_soup_can", 60)
+        wait(lambda: not viewer.grasp.disabled, 400)
+
+        page.locator("//label[.='anchor']/following::input[1]").check()
+        wait(lambda: viewer.viewer.settings.anchor is not None)
+        anchor, best = np.array(viewer.viewer.settings.anchor), viewer.viewer.shown.describe()
+        # Along the axis that is longest on the screen: the can may lie as it wants.
+        reach, far = 0.6 * viewer.viewer.anchor.scale, 0.03
+        ends = [
+            [
+                on_screen(viewer.viewer.server, in_world(anchor + d * e), SIZE)
+                for d in (reach, reach + far)
+            ]
+            for e in np.eye(3)
+        ]
+        axis = int(np.argmax([np.linalg.norm(b - a) for a, b in ends]))
+        drag(page, *ends[axis])
+        wait(lambda: abs(viewer.viewer.settings.anchor[axis]) > 0.5 * far)
+        wait(lambda: viewer.viewer.shown.describe() != best)
+        keep("live_steered.png")
+
+        page.get_by_role("button", name="grasp", exact=True).click()
+        seen = []
+
+        def follow(until):
+            now = phase()
+            if now and seen[-1:] != [now]:
+                seen.append(now)
+            return until()
+
+        wait(lambda: follow(lambda: phase() in ("holding", "failed")), 120)
+        assert set(seen) & {"reaching", "closing", "lifting"}, "it was watched"
+        field = number(page, "push [N]")
+        field.fill("1.5")
+        field.press("Enter")
+        wait(lambda: np.linalg.norm(viewer.push) == pytest.approx(1.5))
+        wait(lambda: "lifted and held" in words() or phase() == "failed", 60)
+        keep("live.png")
+        assert seen[-1] == "holding" and viewer.live.last.rise > 0.1
+        page.get_by_role("button", name="stop", exact=True).click()
+        wait(lambda: viewer.live.done)
+        wait(lambda: "stopped" in words())
+    wait(lambda: not viewer.grasp.disabled)

@@ -6,7 +6,7 @@ import html
 
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.viz.demo.plots import FINGERS, STAGES
-from mjx_grasp.viz.live import LiveTick
+from mjx_grasp.viz.live_tick import LiveTick
 
 SLOW = 0.95
 """Share of real time below which the page says how slow it is [-]."""
@@ -33,8 +33,9 @@ def status(tick: LiveTick, pace: float = 1.0, stopped: bool = False) -> str:
         stopped: Whether somebody has ended it.
     """
     slow = f", {pace:.1f} of real time" if pace < SLOW else ""
-    headline = f"<b>{_name(tick.phase)}</b> at {tick.clock:.1f} s{slow}"
-    chips = "".join(_chip(phase, tick.phase) for phase in list(Phase)[:-1])
+    now = Phase(int(tick.phase))
+    headline = f"<b>{_name(now)}</b> at {tick.clock:.1f} s{slow}"
+    chips = "".join(_chip(phase, now) for phase in list(Phase)[:-1])
     outcome = _outcome(tick, stopped)
     return (
         f"<div style='{_STYLE}'><div>{headline}</div><div style='margin:3px 0 5px'>{chips}</div>"

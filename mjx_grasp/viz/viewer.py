@@ -11,14 +11,14 @@ from types import ModuleType
 from typing import Any, get_args
 
 import numpy as np
-import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.language.grounding import GroundingError, Target
 from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.viz.glb import coloured_glb
 from mjx_grasp.viz.heatmap import THUMB, WRAP
 from mjx_grasp.viz.viewer_state import MOST_TRIPLES, Shown, ViewerSettings, show
 
@@ -152,7 +152,7 @@ class Viewer:
         scene.add_light_ambient("/light", intensity=1.0)
         self._object = scene.add_frame(_OBJECT, show_axes=False)
         self._triples = scene.add_frame(_TRIPLES, show_axes=False)
-        self._mesh = scene.add_glb(f"{_OBJECT}/mesh", self._glb(self.shown.colours))
+        self._mesh = scene.add_glb(f"{_OBJECT}/mesh", self._glb())
         anchor = self.settings.anchor or tuple(float(x) for x in self._centre)
         self.anchor = scene.add_transform_controls(
             f"{_OBJECT}/anchor", scale=_GIZMO * self._size, disable_rotations=True,
@@ -235,7 +235,7 @@ class Viewer:
         """Puts what is shown on the page, all at once."""
         scene, shown = self.server.scene, self.shown
         with self.server.atomic():
-            self._mesh.glb_data = self._glb(shown.colours)
+            self._mesh.glb_data = self._glb()
             for k in range(MOST_TRIPLES):
                 exists = k < self.settings.triples and bool(shown.triples.valid[k])
                 if exists:
@@ -273,33 +273,10 @@ class Viewer:
             radius = (0.018 if first else 0.010) * self._size
             scene.add_icosphere(f"{name}/{part}", radius, colour, position=point)
 
-    def _glb(self, colours: UInt8[np.ndarray, "v 3"]) -> bytes:
-        """The coloured mesh as the browser takes it."""
-        mesh = trimesh.Trimesh(
-            np.asarray(self.heatmap.vertices), self.faces, process=False,
-            vertex_normals=np.asarray(self.heatmap.normals), vertex_colors=_linear(colours),
-        )  # fmt: skip
-        exported = mesh.export(file_type="glb", include_normals=True, tree_postprocessor=_matte)
-        assert isinstance(exported, bytes)
-        return exported
+    def _glb(self) -> bytes:
+        vertices, normals = np.asarray(self.heatmap.vertices), np.asarray(self.heatmap.normals)
+        return coloured_glb(vertices, self.faces, normals, self.shown.colours)
 
 
 def _millimetres(length: float) -> float:
     return round(1e3 * length, 1)
-
-
-def _matte(tree: dict[str, Any]) -> None:
-    """Gives a glTF tree a dull material: its default is bare metal, which swallows the colours."""
-    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-    tree["materials"] = [{"pbrMetallicRoughness": dull, "doubleSided": True}]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["material"] = 0
-
-
-def _linear(colours: UInt8[np.ndarray, "v 3"]) -> UInt8[np.ndarray, "v 3"]:
-    """The colours of glTF, which are linear, from those of pictures, which are not (sRGB)."""
-    share: Float[np.ndarray, "v 3"] = colours / 255.0
-    low = share <= 0.04045
-    linear = np.where(low, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return np.round(255.0 * linear).astype(np.uint8)

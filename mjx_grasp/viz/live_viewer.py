@@ -35,7 +35,7 @@ from mjx_grasp.viz.viewer_state import ViewerSettings
 
 MOST_PUSH_N = 5.0
 _DRAW_EVERY = 5  # ticks: 20 pictures per second
-_CAMERA = np.array([1.62, -0.93, 0.82]), np.array([0.30, -0.03, 0.26])
+_CAMERA = np.array([1.46, -0.82, 0.74]), np.array([0.33, -0.03, 0.25])
 _FOV = 0.75  # rad
 _AMBIENT = 0.4
 _TABLE, _PUSH = (205, 194, 178), (230, 120, 30)

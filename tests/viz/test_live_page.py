@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from browser import browsing, drag, free_port, need_viser, number, on_screen, wait
+from browser import browsing, control, drag, free_port, need_viser, number, on_screen, wait
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.model import load_object
@@ -63,12 +63,16 @@ def test_choose_drag_grasp_and_push(viewer, tmp_path):
         wait(lambda: "compiling" in words() or "drawing" in words(), 60)
         if (warning := page.locator(".mantine-Notification-closeButton")).count():
             warning.first.click()  # that the browser draws without a GPU
-        page.locator("//label[.='object']/following::input[1]").click()
+        box = control(page, "anchor")
+        box.check()
+        wait(lambda: viewer.viewer.settings.anchor is not None)
+        control(page, "object").click()
         page.get_by_role("option", name="rubiks_cube").click()
         wait(lambda: viewer.viewer.target.name == "rubiks_cube", 60)
         wait(lambda: not viewer.grasp.disabled, 400)
 
-        page.locator("//label[.='anchor']/following::input[1]").check()
+        wait(lambda: viewer.viewer.settings.anchor is None and not box.is_checked())
+        box.check()
         wait(lambda: viewer.viewer.settings.anchor is not None)
         anchor, best = np.array(viewer.viewer.settings.anchor), viewer.viewer.shown.describe()
         # Along an arrow of its own, towards an edge of the cube.

@@ -6,13 +6,13 @@ import html
 
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.viz.demo.plots import FINGERS, STAGES
-from mjx_grasp.viz.live_tick import LiveTick
+from mjx_grasp.viz.live_tick import HELD, LiveTick
 
 SLOW = 0.95
 """Share of real time below which the page says how slow it is [-]."""
 _STYLE = "padding:2px 12px 8px;font-size:13px;line-height:1.5;font-variant-numeric:tabular-nums"
 _CHIP = "padding:1px 6px;border-radius:9px;margin-right:3px;white-space:nowrap;font-size:11px"
-_GOOD, _BAD, _FAINT = "#1d7a43", "#b03020", "#9aa3b0"
+_GOOD, _BAD, _INK, _FAINT = "#1d7a43", "#b03020", "#1f2630", "#9aa3b0"
 
 
 def note(text: str) -> str:
@@ -51,7 +51,7 @@ def _chip(phase: Phase, now: Phase) -> str:
     """One stage; those that have been are coloured, the present one is framed."""
     been = phase <= now and now != Phase.FAILED
     frame = f"1px solid {'#5b6470' if phase == now else 'transparent'}"
-    back, ink = (STAGES[_name(phase)], "#1f2630") if been else ("#f3f4f6", _FAINT)
+    back, ink = (STAGES[_name(phase)], _INK) if been else ("#f3f4f6", _FAINT)
     return (
         f"<span style='{_CHIP};border:{frame};background:{back};color:{ink}'>{_name(phase)}</span>"
     )
@@ -74,7 +74,8 @@ def _fingers(tick: LiveTick) -> str:
 
 
 def _outcome(tick: LiveTick, stopped: bool) -> str:
-    text, colour = tick.outcome, _BAD if tick.phase == Phase.FAILED else _GOOD
+    text = tick.outcome
+    colour = _BAD if tick.phase == Phase.FAILED else _GOOD if text == HELD else _INK
     if stopped and tick.phase != Phase.FAILED:
         text = "stopped" if text is None else f"{text}, then stopped"
     return "" if text is None else f"<div><b style='color:{colour}'>{html.escape(text)}</b></div>"

@@ -20,6 +20,8 @@ from mjx_grasp.sim.physics import Truth, WorldParams
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_progress
 
+HELD = "lifted and held"
+"""The outcome that is wanted."""
 _REASONS = {
     Failure.NO_CANDIDATE: "no grasp is within reach",
     Failure.NOT_REACHED: "not reached in time",
@@ -64,9 +66,11 @@ class LiveTick(NamedTuple):
         """How the grasp stands in words; None while that is open."""
         if self.phase == Phase.FAILED:
             return _REASONS[Failure(int(self.failure))]
-        if self.phase == Phase.HOLDING and self.success:
-            return "lifted and held" if self.rise >= SuccessConfig().height else "sinking"
-        return None
+        if self.phase != Phase.HOLDING:
+            return None
+        if not self.success:
+            return "not yet held steadily"
+        return HELD if self.rise >= SuccessConfig().height else "sinking"
 
 
 class LiveState(NamedTuple):

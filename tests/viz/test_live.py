@@ -176,6 +176,7 @@ def test_the_status_says_how_it_stands():
     assert "stopped" in status(tick(Phase.REACHING), stopped=True)
     assert "lifted and held</b>" in status(tick(Phase.HOLDING, rise=0.15, success=True))
     assert "sinking" in status(tick(Phase.HOLDING, rise=0.02, success=True))
+    assert "not yet held" in status(tick(Phase.HOLDING, rise=0.15))
     for failure in list(Failure)[1:]:
         failed = tick(Phase.FAILED, failure)
         assert failed.outcome is not None and failed.outcome in status(failed)

@@ -1,6 +1,7 @@
 """`python -m mjx_grasp.view`: a heatmap in the browser, with an anchor to drag.
 
-Takes a mesh (metres) or the .npz of a heatmap. Needs the extra `viewer` (viser).
+Takes a mesh (metres) or the .npz of a heatmap. With `--live` also an object of the catalogue: a
+simulated robot grasps it there, and you may push it meanwhile. Needs the extra `viewer` (viser).
 """
 
 from mjx_grasp.cli import run_command, starting

@@ -11,18 +11,20 @@ from types import ModuleType
 from typing import Any, get_args
 
 import numpy as np
-import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.language.grounding import GroundingError, Target
 from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.viz.glb import coloured_glb
 from mjx_grasp.viz.heatmap import THUMB, WRAP
 from mjx_grasp.viz.viewer_state import MOST_TRIPLES, Shown, ViewerSettings, show
 
 _PARTS = ("thumb", "index", "middle")
+_OBJECT, _TRIPLES = "/object", "/object/triple"  # all on the object moves with its frame
+_GIZMO = 0.35  # size of what is dragged, of the mesh's diagonal
 _FINGER = 0.15  # length of the lines outside the contacts, of the mesh's diagonal
 _WRAP_LINE, _INK, _GREY = (90, 95, 110), (40, 40, 50), (190, 190, 198)
 
@@ -63,13 +65,14 @@ class Viewer:
         port: int = 8080,
     ):
         viser = import_viser()
-        self.heatmap, self.faces, self.target = stored.heatmap, stored.faces, target
         self.settings = settings or ViewerSettings()
-        self._size = float(np.linalg.norm(np.ptp(np.asarray(self.heatmap.vertices), axis=0)))
-        self._centre = np.asarray(self.heatmap.vertices).reshape(-1, 3)
-        self._centre = 0.5 * (self._centre.min(axis=0) + self._centre.max(axis=0))
+        self._take(stored, target)
         self._lock = threading.Lock()  # callbacks come from several threads
-        self.shown = show(self.heatmap, self.settings)
+        eye = self._centre + self._size * np.array([0.5, -0.8, 0.45])
+        self.camera = eye, self._centre
+        """where a page that is opened looks from and to, world frame [m]"""
+        self.fov = 1.309
+        """of its camera, from top to bottom [rad]"""
         self.server = viser.ViserServer(host=host, port=port, verbose=False, label=target.name)
         self._build_scene()
         self._build_panel(stored.info.anchor is not None)
@@ -96,19 +99,66 @@ class Viewer:
             self._draw()
             return self.shown
 
+    def change(self, stored: StoredHeatmap, target: Target) -> None:
+        """Shows another object in the place of this one, without an anchor.
+
+        Args:
+            stored: Its heatmap and mesh.
+            target: It, for instructions.
+        """
+        with self._lock:
+            self.settings = replace(self.settings, anchor=None, size=(0.0, 0.0, 0.0))
+            self._take(stored, target)
+            self.anchor.position, self.anchor.scale = self._centre, _GIZMO * self._size
+            self._draw_anchor()
+            self._draw()
+        # Not under the lock, as it calls back.
+        self.steered.value = self.anchor.visible = False
+        self.server.gui.set_panel_label(target.name)
+
+    def place(self, position: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]) -> None:
+        """Moves the object with all that is drawn on it.
+
+        Args:
+            position: Of its frame in the world [m].
+            quat: Its rotation, w-x-y-z.
+        """
+        self._object.position = position
+        self._object.wxyz = quat
+
+    def show_marks(self, visible: bool) -> None:
+        """Shows triples and anchor, or hides them."""
+        self._triples.visible = visible
+        self.anchor.visible = visible and self.settings.anchor is not None
+
+    def _take(self, stored: StoredHeatmap, target: Target) -> None:
+        self.heatmap, self.faces, self.target = stored.heatmap, stored.faces, target
+        vertices = np.asarray(self.heatmap.vertices).reshape(-1, 3)
+        self._size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        self._centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self.shown = show(self.heatmap, self.settings)
+
+    def _draw_anchor(self) -> None:
+        """The point in the middle of what is dragged."""
+        self.server.scene.add_icosphere(
+            f"{_OBJECT}/anchor/point", radius=0.018 * self._size, color=(255, 64, 200)
+        )
+
     def _build_scene(self) -> None:
         scene = self.server.scene
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
         # Even light: shading must not be taken for a score.
         scene.add_light_ambient("/light", intensity=1.0)
-        self._mesh = scene.add_glb("/mesh", self._glb(self.shown.colours))
+        self._object = scene.add_frame(_OBJECT, show_axes=False)
+        self._triples = scene.add_frame(_TRIPLES, show_axes=False)
+        self._mesh = scene.add_glb(f"{_OBJECT}/mesh", self._glb())
         anchor = self.settings.anchor or tuple(float(x) for x in self._centre)
         self.anchor = scene.add_transform_controls(
-            "/anchor", scale=0.35 * self._size, disable_rotations=True, depth_test=False,
-            position=anchor, visible=self.settings.anchor is not None,
+            f"{_OBJECT}/anchor", scale=_GIZMO * self._size, disable_rotations=True,
+            depth_test=False, position=anchor, visible=self.settings.anchor is not None,
         )  # fmt: skip
-        scene.add_icosphere("/anchor/point", radius=0.018 * self._size, color=(255, 64, 200))
+        self._draw_anchor()
 
         @self.anchor.on_update
         def _(_event: Any) -> None:
@@ -118,14 +168,14 @@ class Viewer:
         @self.server.on_client_connect
         def _(client: Any) -> None:
             client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = self._centre + self._size * np.array([0.5, -0.8, 0.45])
-            client.camera.look_at = self._centre
+            client.camera.position, client.camera.look_at = self.camera
+            client.camera.fov = self.fov
 
     def _build_panel(self, is_steered: bool) -> None:
         gui, settings = self.server.gui, self.settings
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
-        self.sigma = gui.add_slider("sigma [mm]", 1.0, 60.0, 0.5, 1e3 * settings.scale)
+        self.sigma = gui.add_slider("sigma [mm]", 1.0, 60.0, 0.5, _millimetres(settings.scale))
         self.steering = gui.add_dropdown(
             "near it", get_args(Steering), initial_value=settings.steering
         )
@@ -169,7 +219,7 @@ class Viewer:
             return
         self._move(tuple(found.point), tuple(found.size))
         self.set(sigma=None)
-        self.sigma.value = 1e3 * self.settings.scale
+        self.sigma.value = _millimetres(self.settings.scale)
 
     def _move(
         self, anchor: tuple[float, ...] | None, size: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -185,13 +235,13 @@ class Viewer:
         """Puts what is shown on the page, all at once."""
         scene, shown = self.server.scene, self.shown
         with self.server.atomic():
-            self._mesh.glb_data = self._glb(shown.colours)
+            self._mesh.glb_data = self._glb()
             for k in range(MOST_TRIPLES):
                 exists = k < self.settings.triples and bool(shown.triples.valid[k])
                 if exists:
                     self._draw_triple(k)
                 else:
-                    scene.remove_by_name(f"/triple/{k}")
+                    scene.remove_by_name(f"{_TRIPLES}/{k}")
             anchor = self.settings.anchor
             place = "" if anchor is None else "anchor ({:.1f}, {:.1f}, {:.1f}) mm, ".format(
                 *(1e3 * x for x in anchor)
@@ -200,7 +250,7 @@ class Viewer:
 
     def _draw_triple(self, k: int) -> None:
         """Contacts as spheres, joined by lines, with a line outwards where each finger comes."""
-        scene, name, drawn = self.server.scene, f"/triple/{k}", self.shown.triples
+        scene, name, drawn = self.server.scene, f"{_TRIPLES}/{k}", self.shown.triples
         contacts = np.stack([drawn.thumb[k], *drawn.wrap[k]])
         normals = np.stack([drawn.thumb_normal[k], *drawn.wrap_normals[k]])
         outside = contacts + _FINGER * self._size * normals
@@ -223,29 +273,10 @@ class Viewer:
             radius = (0.018 if first else 0.010) * self._size
             scene.add_icosphere(f"{name}/{part}", radius, colour, position=point)
 
-    def _glb(self, colours: UInt8[np.ndarray, "v 3"]) -> bytes:
-        """The coloured mesh as the browser takes it."""
-        mesh = trimesh.Trimesh(
-            np.asarray(self.heatmap.vertices), self.faces, process=False,
-            vertex_normals=np.asarray(self.heatmap.normals), vertex_colors=_linear(colours),
-        )  # fmt: skip
-        exported = mesh.export(file_type="glb", include_normals=True, tree_postprocessor=_matte)
-        assert isinstance(exported, bytes)
-        return exported
+    def _glb(self) -> bytes:
+        vertices, normals = np.asarray(self.heatmap.vertices), np.asarray(self.heatmap.normals)
+        return coloured_glb(vertices, self.faces, normals, self.shown.colours)
 
 
-def _matte(tree: dict[str, Any]) -> None:
-    """Gives a glTF tree a dull material: its default is bare metal, which swallows the colours."""
-    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-    tree["materials"] = [{"pbrMetallicRoughness": dull, "doubleSided": True}]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["material"] = 0
-
-
-def _linear(colours: UInt8[np.ndarray, "v 3"]) -> UInt8[np.ndarray, "v 3"]:
-    """The colours of glTF, which are linear, from those of pictures, which are not (sRGB)."""
-    share: Float[np.ndarray, "v 3"] = colours / 255.0
-    low = share <= 0.04045
-    linear = np.where(low, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return np.round(255.0 * linear).astype(np.uint8)
+def _millimetres(length: float) -> float:
+    return round(1e3 * length, 1)

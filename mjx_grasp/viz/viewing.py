@@ -1,11 +1,14 @@
-"""What `view` serves: a stored heatmap, or one computed of a mesh, until it is interrupted."""
+"""What `view` serves until it is interrupted: a heatmap, or a robot that grasps what has one."""
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -13,13 +16,22 @@ import trimesh
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap.files import StoredHeatmap, load_heatmap
+from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
+from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
 from mjx_grasp.language.grounding import Target, target_of
+from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.folder import MeshFile
 from mjx_grasp.objects.meshes import read_mesh
+from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.objects.parts import parts_of
-from mjx_grasp.records.settings import Range
+from mjx_grasp.records.settings import Positive, Range
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.live import LiveGrasp
+from mjx_grasp.viz.live_viewer import LiveViewer
 from mjx_grasp.viz.viewer import Viewer, import_viser
 from mjx_grasp.viz.viewer_state import TripleCount, ViewerSettings
 
@@ -34,6 +46,30 @@ class ViewConfig(MeshConfig):
     """address to serve on; 0.0.0.0 lets other machines in"""
     port: Annotated[int, Range(1, 65535)] = 8080
     """port to serve on; the next free one if it is taken"""
+    live: bool = False
+    """whether a simulated robot is there that grasps the object at the press of a button; what is
+    shown may then be an object of the catalogue too, and an anchor is relative to the middle of its
+    bounding box"""
+    also: tuple[str, ...] = ()
+    """more objects to choose from on the live page: names and groups of the catalogue, meshes and
+    folders of meshes"""
+    objects_dir: Path | None = None
+    """folder of real scans of the catalogue's objects on the live page; stand-ins without one"""
+    mass: Positive | None = None
+    """of each mesh of your own on the live page [kg]"""
+    density: Positive | None = None
+    """of them, instead of a mass; 500 if neither is given [kg/m^3]"""
+    policy: Path | None = None
+    """policy file that corrects the closing on the live page; by default the answering grip closes
+    alone"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        Weight(self.mass, self.density)  # refuses both
+        for name in ("also", "objects_dir", "mass", "density", "policy"):
+            if getattr(self, name) and not self.live:
+                flag = f"--{name.replace('_', '-')}"
+                raise InputError(flag, getattr(self, name), "--live beside it")
 
 
 def serve(config: ViewConfig, say: Callable[[str], None]) -> None:
@@ -52,8 +88,17 @@ def serve(config: ViewConfig, say: Callable[[str], None]) -> None:
     settings = ViewerSettings(
         config.anchor, sigma=config.sigma, steering=config.steering, triples=config.triples
     )
-    viewer = Viewer(*load(config), settings, config.host, config.port)
-    say(f"{viewer.url} shows {viewer.target.name}; Ctrl-C ends it")
+    viewer: Viewer | LiveViewer
+    if config.live:
+        check_loopback(config.host)
+        live = load_live(config)
+        heatmap = partial(object_heatmap, config)
+        viewer = LiveViewer(live, heatmap, settings, config.host, config.port)
+        shown = ", ".join(live.scene.object_names)
+    else:
+        viewer = Viewer(*load(config), settings, config.host, config.port)
+        shown = viewer.target.name
+    say(f"{viewer.url} shows {shown}; Ctrl-C ends it")
     try:
         while True:
             time.sleep(1.0)
@@ -76,6 +121,47 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
         with Console(stderr=True).status(f"computing the heatmap of {name}"):
             stored = heatmap_of_mesh(name, mesh, config.grip(), config.heatmap)
     return stored, target_of(name, mesh, parts_of(MeshFile(name, config.mesh), mesh))
+
+
+def load_live(config: ViewConfig) -> LiveGrasp:
+    """The robot with the objects that are asked for, the first one first.
+
+    Raises:
+        InputError: An unknown object, or one that is asked for twice.
+        FileError: A mesh, a scan or the policy cannot be used.
+    """
+    robot = load_robot(config.robot)
+    # With scores of an anchor the best half decides; without one that is no loss.
+    grasper = loaded_grasper(robot, config.policy, steered=True)
+    names = [str(config.mesh), *config.also]
+    weight = Weight(config.mass, config.density)
+    scene = build_scene(load_objects(names, config.objects_dir, weight=weight), robot)
+    return LiveGrasp(grasper, NativePhysics(scene, grasper.dt, threads=1))
+
+
+def object_heatmap(config: ViewConfig, obj: ObjectModel) -> StoredHeatmap:
+    """The heatmap of an object about its own centre of mass, object frame.
+
+    Args:
+        config: Hand and heatmap.
+        obj: The object.
+    """
+    surface, grip = heatmap_surface(obj.mesh, config.heatmap), config.grip()
+    vertices, faces = np.asarray(surface.vertices), np.asarray(surface.faces)
+    heatmap = compute_heatmap(vertices, faces, obj.com, *grip, config.heatmap)
+    x, y, z = (float(c) for c in obj.com)
+    return StoredHeatmap(heatmap, faces, HeatmapInfo(obj.name, *grip, (x, y, z)))
+
+
+def check_loopback(host: str) -> None:
+    """Makes sure that an address is heard by this machine alone.
+
+    Raises:
+        InputError: Others would hear it too.
+    """
+    found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+    if not all(ipaddress.ip_address(address[0]).is_loopback for *_, address in found):
+        raise InputError("--host", host, "127.0.0.1: whoever opens the live page moves the robot")
 
 
 def check_host(host: str) -> None:

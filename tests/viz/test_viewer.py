@@ -1,46 +1,33 @@
 """The viewer in a real, headless browser; and the command that starts it."""
 
-import importlib.util
 import os
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import time
 import urllib.request
 
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
+from browser import (
+    browsing,
+    control,
+    drag,
+    free_port,
+    need_viser,
+    number,
+    on_screen,
+    shot,
+    wait,
+)
 from typed import refusal
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
-from mjx_grasp.language.camera import PinholeCamera
 from mjx_grasp.language.grounding import target_of
 from mjx_grasp.viz.viewer_state import ViewerSettings
 from mjx_grasp.viz.viewing import check_host
-
-SIZE = {"width": 1000, "height": 700}
-FLAGS = [
-    *("--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
-]
-
-
-def missing(what):
-    if os.environ.get("MJX_GRASP_REQUIRE_BROWSER"):
-        pytest.fail(f"{what} is missing")
-    pytest.skip(f"{what} is missing")
-
-
-def need_viser():
-    if importlib.util.find_spec("viser") is None:
-        missing("viser")
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +36,6 @@ def stored():
     heatmap = compute_heatmap(mesh.vertices, mesh.faces, None, (0.02, 0.09), 0.5)
     info = HeatmapInfo("box", (0.02, 0.09), 0.5, (0.0, 0.0, 0.0))
     return StoredHeatmap(heatmap, np.asarray(mesh.faces), info), target_of("box", mesh)
-
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 @pytest.fixture(scope="module")
@@ -69,34 +50,10 @@ def viewer(stored):
 
 @pytest.fixture(scope="module")
 def page(viewer):
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        missing("playwright")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        missing("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        opened = browser.new_page(viewport=SIZE)
-        opened.goto(viewer.url)
+    with browsing(viewer.url) as opened:
         wait(lambda: "score" in opened.inner_text("body"), 60)
         wait(lambda: mesh_pixels(shot(opened)).mean() > 0.02, 60)
         yield opened
-        browser.close()
-
-
-def wait(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.2)
-
-
-def shot(page):
-    import io
-
-    return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
 
 
 def mesh_pixels(picture):
@@ -113,36 +70,12 @@ def yellow_height(picture):
     return rows.mean()
 
 
-def on_screen(viewer, point):
-    """Where the page shows a point [pixels]."""
-    (client,) = viewer.server.get_clients().values()
-    eye, at = np.asarray(client.camera.position), np.asarray(client.camera.look_at)
-    forward = (at - eye) / np.linalg.norm(at - eye)
-    right = np.cross(forward, np.asarray(client.camera.up_direction))
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    width, height = SIZE["width"], SIZE["height"]
-    focal = 0.5 * height / np.tan(0.5 * client.camera.fov)
-    camera = PinholeCamera(width, height, focal, focal, 0.5 * width, 0.5 * height, axes, eye)
-    return camera.project(np.asarray(point))[0]
-
-
-def drag(page, start, end, steps=12):
-    page.mouse.move(*start)
-    time.sleep(0.5)  # the gizmo notices the mouse in its next frame
-    page.mouse.down()
-    for k in range(1, steps + 1):
-        page.mouse.move(*(start + (end - start) * k / steps))
-        time.sleep(0.05)
-    page.mouse.up()
-
-
 def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_factory):
     before, text = shot(page), page.inner_text("body")
     anchor = np.array(viewer.settings.anchor)
     reach = 0.6 * viewer.anchor.scale
-    start = on_screen(viewer, anchor + np.array([0, 0, reach]))
-    end = on_screen(viewer, anchor + np.array([0, 0, reach + 0.05]))
+    start = on_screen(viewer.server, anchor + np.array([0, 0, reach]))
+    end = on_screen(viewer.server, anchor + np.array([0, 0, reach + 0.05]))
     assert end[1] < start[1] - 30
     drag(page, start, end)
     wait(lambda: viewer.settings.anchor[2] > 0.03)
@@ -158,11 +91,6 @@ def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_fac
         page.screenshot(path=os.path.join(folder, "viewer.png"))
 
 
-def control(page, label):
-    """The panel's input behind a label."""
-    return page.locator(f"//label[.='{label}']/following::input[1]")
-
-
 def test_the_panel_changes_sigma_triples_and_place(viewer, page):
     field = control(page, "go to")
     field.fill("the bottom")
@@ -174,7 +102,7 @@ def test_the_panel_changes_sigma_triples_and_place(viewer, page):
     field.press("Enter")
     wait(lambda: "no known part or side" in page.inner_text("body"))
     before = viewer.shown.best
-    sigma = page.locator("//label[.='sigma [mm]']/following::input[@type='text'][1]")
+    sigma = number(page, "sigma [mm]")
     sigma.fill("5")
     sigma.press("Enter")
     wait(lambda: viewer.settings.sigma == pytest.approx(0.005))

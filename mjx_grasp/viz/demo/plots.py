@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
 
-FINGERS = (("thumb", "#c03a26"), ("index", "#2e8b57"), ("middle", "#2563a8"))
+FINGERS = (("thumb", "#c03a26"), ("index", "#2563a8"), ("middle", "#2e8b57"))
 """With the colours of their tips in pictures."""
 STAGES = {
     "reaching": "#eef3fa",

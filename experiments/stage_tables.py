@@ -170,11 +170,10 @@ def route(path: Path) -> str:
     d = read(path)
     if d is None:
         return NOTHING
-    name = d["object"].replace("_", " ")
+    name, tried = d["object"].replace("_", " "), len(d["outcomes"])
     return (
-        f"{d['poses']} random poses of one object ({name}, {d['mesh']}, “{d['instruction']}”): "
-        f"{d['handed_off']} reaches handed off, and from {d['lifted']} of these handoffs the "
-        "policy of that time lifted the object. The picture shows one of those."
+        f"{name} ({d['mesh']}), {d['asked']}, scenario {d['scenario']['name']}: the first success "
+        f"in {tried} random pose{'s' * (tried > 1)} (seed {d['seed']})."
     )
 
 

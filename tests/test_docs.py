@@ -103,6 +103,7 @@ def blocks(name):
     return re.findall(r"^```python\n(.*?)^```", (DOCS / name).read_text(), re.M | re.S)
 
 
+@pytest.mark.long
 def test_the_tutorial_lifts_the_can():
     names: dict = {}
     for number, code in enumerate(blocks("tutorial.md")):

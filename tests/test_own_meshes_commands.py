@@ -38,6 +38,7 @@ def made(tmp_path_factory):
     return folder, done
 
 
+@pytest.mark.long
 def test_start_states_of_a_mesh_are_made_and_its_weight_is_said(made):
     folder, done = made
     assert "mug.stl: 0.15" in done.stderr and "assuming 500 kg/m³" in done.stderr
@@ -45,6 +46,7 @@ def test_start_states_of_a_mesh_are_made_and_its_weight_is_said(made):
     assert stored.object_names == ("mug.stl",) and len(stored) == 4
 
 
+@pytest.mark.long
 def test_they_load_again_with_the_mesh(made, tmp_path):
     folder, _ = made
     out = tmp_path / "e.json"
@@ -60,6 +62,7 @@ def test_they_load_again_with_the_mesh(made, tmp_path):
     assert json.loads(out.read_text())["settings"]["mass"] == 0.2
 
 
+@pytest.mark.long
 def test_they_are_refused_with_another_mesh_of_that_name(made, tmp_path, monkeypatch, capsys):
     folder, _ = made
     trimesh.creation.box(extents=(0.05, 0.06, 0.09)).export(tmp_path / "mug.stl")

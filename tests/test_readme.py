@@ -143,8 +143,9 @@ def test_the_stages_before_closing_have_their_tables(root):
     ]
     numbers = {"rows": rows, "provenance": PROVENANCE, "settings": {"usable": 0.05}}
     (results / "steering_numbers.json").write_text(json.dumps(numbers))
-    route = {"object": "golf_ball", "mesh": "scan", "instruction": "the top", "poses": 12}
-    route |= {"handed_off": 9, "lifted": 5, "provenance": PROVENANCE}
+    route = {"object": "golf_ball", "mesh": "scan", "asked": "“the top” (side: top)", "seed": 4}
+    route |= {"scenario": {"name": "obstacle"}, "outcomes": ["slipped", "success"]}
+    route |= {"provenance": PROVENANCE}
     (results / "route.json").write_text(json.dumps(route))
     first = {"setup_s": 60.0, "train_s": 420.0, "total_s": 480.0, "training_s": 300.0}
     first |= {"env_steps": 983040, "return_first_tenth": 862.0, "return_last_tenth": 1134.0}
@@ -179,8 +180,7 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "2 places on 1 object. " in detail and "are at 14.0 mm by" in detail
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
-    assert "12 random poses of one object (golf ball, scan, “the top”): 9 reaches" in detail
-    assert "from 5 of these handoffs" in detail
+    assert "scenario obstacle: the first success in 2 random poses (seed 4)" in detail
     assert "rose from 862 to 1134" in detail
     assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
 

@@ -22,7 +22,7 @@ from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.language.grounding import Target, target_of
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.assemble import CANDIDATES, known_object
+from mjx_grasp.pipeline.assemble import CANDIDATES, known_object, steered_scores
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.sim.scene import OBJECT_BODY, TABLE_GEOM
 from mjx_grasp.viz.demo.plots import FINGERS
@@ -226,8 +226,7 @@ class LiveViewer:
             return
         self._stopped.clear()
         subject = self._subjects[self._name]
-        # Far from the middle of the object all scores are low: what counts is which is the best.
-        steered = jnp.asarray(score / score.max())
+        steered = steered_scores(subject.stored.heatmap, jnp.asarray(score))
         candidates = from_heatmap(subject.stored.heatmap, steered, CANDIDATES)
         self._say("planning")
         self.live.start(subject.known._replace(candidates=candidates))

@@ -139,6 +139,7 @@ def _command(*args, cwd):
     return subprocess.run(call, capture_output=True, text=True, cwd=cwd, check=False)
 
 
+@pytest.mark.long
 def test_command_as_typed(tmp_path):
     out, plot = tmp_path / "sweep.json", tmp_path / "sweep.png"
     done = _command(

@@ -208,6 +208,25 @@ def scenarios(path: Path) -> str:
     return markdown(Table("Scenarios", header, tuple(lines)))
 
 
+def grasper_speed(path: Path) -> str:
+    """How long a tick of the controller and a search for plans take."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = [
+        (f"tick, {phase}", str(s["count"]), f"{s['p50']:.2f}", f"{s['p99']:.2f}")
+        for phase, s in d["tick_ms"].items()
+        if s["count"]
+    ]
+    s = d["plan_ms"]
+    rows.append(("search for plans", str(s["count"]), f"{s['p50']:.0f}", f"{s['p99']:.0f}"))
+    header = ("what", "times", "median ms", "99 % ms")
+    device = d["provenance"]["device"]
+    return f"One world on {device}, physics apart:\n\n" + markdown(
+        Table("Controller", header, tuple(rows))
+    )
+
+
 _GRASP_COLUMNS = ("trials", "lifted and held %", "up after 9 s %", "lifted s", "force N")
 
 

@@ -351,5 +351,16 @@ def test_whole_grasps_have_their_table(tmp_path):
     assert values(scenario)[0] == "nominal: nothing happens" and values(scenario)[-1] == "2"
 
 
+def test_the_controllers_time_has_its_table(tmp_path):
+    path, table = tmp_path / "grasper.json", make_readme.stage_tables.grasper_speed
+    assert table(path) == make_readme.stage_tables.NOTHING
+    tick = {"count": 500, "p50": 1.234, "p99": 2.5}
+    record = {"tick_ms": {"reaching": tick, "failed": tick | {"count": 0}}, "plan_ms": tick}
+    path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
+    _, _, _, _, reaching, plans = table(path).splitlines()
+    assert values(reaching) == ["tick, reaching", "500", "1.23", "2.50"]
+    assert values(plans) == ["search for plans", "500", "1", "2"]
+
+
 def values(line):
     return [cell.strip() for cell in line.strip("|").split("|")]

@@ -62,7 +62,7 @@ class RouteConfig(CommandSettings):
     """of the first pose; of this one the can stands"""
     tries: Count = 5
     """poses tried at most [-]"""
-    max_mb: Positive = 2.0
+    max_mb: Positive = 3.0
     """size of the GIF [MB]"""
     out: Path = Path("docs/route.gif")
     """the picture"""

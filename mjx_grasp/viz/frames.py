@@ -130,7 +130,7 @@ def write_gif(
     size = 0
     # Fewer pictures cost less to the eye than smaller ones, down to about ten a second.
     for scale, colours, least_fps in (
-        (1.0, 192, 20), (1.0, 96, 12.5), (0.75, 96, 12.5), (0.6, 64, 10), (0.4, 32, 8)
+        (1.0, 192, 20), (1.0, 128, 12.5), (0.75, 128, 12.5), (0.6, 96, 10), (0.4, 64, 8)
     ):  # fmt: skip
         stride = max(1, round(fps / least_fps))
         with replacing(path) as temporary:
@@ -152,7 +152,7 @@ def _save_gif(
     sheet = Image.new("RGB", (size[0], size[1] * len(samples)))
     for i, image in enumerate(samples):
         sheet.paste(image, (0, i * size[1]))
-    palette = sheet.quantize(colours, method=Image.Quantize.MAXCOVERAGE)
+    palette = sheet.quantize(colours, method=Image.Quantize.FASTOCTREE)
     # No dithering: its noise changes from picture to picture and doubles the file.
     frames = [i.quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
     frames[0].save(

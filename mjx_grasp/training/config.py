@@ -95,6 +95,15 @@ def preset_config(preset: str) -> TrainConfig:
         preset = "gpu" if has_gpu() else "cpu"
     if preset == "gpu" and not has_gpu():
         raise InputError("--preset", "gpu (JAX finds no GPU here)", "a GPU, or --preset cpu")
+    return settings_of(preset)
+
+
+def settings_of(preset: str) -> TrainConfig:
+    """The same for a preset by name, whether or not this machine could train with it.
+
+    Raises:
+        InputError: An unknown preset.
+    """
     if preset == "cpu":
         return TrainConfig(
             preset="cpu",

@@ -1,0 +1,174 @@
+"""What each part of the policy's training adds: short runs that differ in one setting.
+
+Each run is one command, and the first of them the preset itself:
+
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 240 --out runs/reference
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 240 --task.reward.held 0 --out runs/unheld
+  python experiments/policy_ablation.py runs/reference runs/unheld
+
+lifts with their policies in native MuJoCo from states of the training set, so that what is chosen
+by this table is not chosen by the states that the results are made with. A run that is in the file
+already is replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from rich.console import Console
+
+from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.trials import Trials, paired_draws, run_trials
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
+from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.records.atomic import read_json, write_json
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
+from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
+from mjx_grasp.tasks.config import RobotErrors, StartNoise
+from mjx_grasp.training.config import TrainConfig, settings_of, stored_config
+
+SCHEMA = "mjx_grasp.policy_ablation/1"
+_OTHER_ROBOT = RobotErrors(stiffness=(0.7, 1.3), latency_s=(0.0, 0.02))
+CONDITIONS = {
+    "nominal": StartNoise(),
+    "hard": StartNoise(offset_m=0.01, friction=(0.5, 0.5)),
+    "other robot": StartNoise(robot=_OTHER_ROBOT),
+}
+_NOT_COMPARED = {
+    "out",
+    "resume",
+    "objects_dir",
+    "handoffs",
+    "seed",
+    "preset",
+    "fit_memory",
+    "evaluation_episodes",
+}
+
+
+@dataclass(frozen=True)
+class AblationConfig(CommandSettings):
+    """Which runs to evaluate."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """folders of finished runs"""
+    out: Path = Path("experiments/results/policy_ablation.json")
+    objects: tuple[str, ...] = ("eight",)
+    objects_dir: Path | None = None
+    """folder of real scans; parametric stand-ins without one"""
+    handoffs: Path | None = None
+    """handoff set; the shipped one by default"""
+    budgets: tuple[Positive, ...] = (1.0, 2.0, 3.0, 4.0)
+    """forces that the policies may take [N]"""
+    episodes: Count = 32
+    """per object, budget and condition [-]"""
+    seed: Seed = 0
+
+
+def flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every setting of a nested record by its name on the command line."""
+    for name, value in record.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def changes(config: TrainConfig) -> dict[str, Any]:
+    """The settings in which a run differs from its preset."""
+    preset = dict(flat(to_record(settings_of(config.preset))))
+    mine = flat(to_record(config))
+    return {k: v for k, v in mine if k not in _NOT_COMPARED and preset.get(k) != v}
+
+
+def evaluated(world: World, policy_file: Path, config: AblationConfig) -> list[dict[str, Any]]:
+    """One row per condition and budget; all trials in one compiled episode."""
+    policy = load_policy(policy_file)
+    noises = [
+        (name, budget, replace(noise, budget_n=(budget, budget)))
+        for name, noise in CONDITIONS.items()
+        for budget in config.budgets
+    ]
+    indices = np.unique(np.asarray(world.starts.object_index))
+    draws = [
+        paired_draws(world.starts, int(index), config.episodes, noise, config.seed)
+        for *_, noise in noises
+        for index in indices
+    ]
+    draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    size = config.episodes * len(indices)
+    widest = CONDITIONS["other robot"]
+    task = world.task("mujoco", size, policy_task(policy), widest, with_privileged=False)
+    trials = run_trials(task, lambda obs: policy(obs["state"]), draw, size)
+    return [
+        {"condition": name, "budget_n": budget}
+        | _sums(Trials(*(column[k * size : (k + 1) * size] for column in trials)), len(indices))
+        for k, (name, budget, _) in enumerate(noises)
+    ]
+
+
+def _sums(trials: Trials, objects: int) -> dict[str, Any]:
+    """The figures of one condition and budget."""
+    force, success = trials.force_mean, trials.success
+    held = np.where(success, force, np.inf)
+    return {
+        "trials": len(success),
+        "success_percent": float(100.0 * success.mean()),
+        "worst_object_percent": float(100.0 * success.reshape(objects, -1).mean(axis=1).min()),
+        "force_mean_n": float(np.nanmean(force)),
+        "force_peak_p50_n": float(np.nanmedian(trials.force_peak)),
+        "force_peak_p99_n": float(np.nanquantile(trials.force_peak, 0.99)),
+        "within_3n_percent": float(100.0 * (held <= 3.0).mean()),
+        "within_4n_percent": float(100.0 * (held <= 4.0).mean()),
+    }
+
+
+def main(config: AblationConfig) -> None:
+    """Evaluates the runs, one after the other."""
+    settings = {folder: stored_config(folder) for folder in config.runs}
+    for folder in config.runs:
+        if not (folder / "policy.npz").exists():
+            raise FileError(folder, "no policy.npz", "a finished run")
+    robot = load_robot()
+    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir), robot=robot)
+    scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
+    names, _ = eligible(scene.object_names, stored)
+    world = build_world(scene, states_of(stored, names, "training"), 0.01)
+    kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
+    rows = {row["run"]: row for row in kept["rows"]}
+    with counting_progress(Console(stderr=True)) as bar:
+        job = bar.add_task("runs", total=len(settings))
+        for folder, trained in settings.items():
+            made = read_json(folder / "provenance.json", "the provenance of a run")
+            rows[folder.name] = {
+                "run": folder.name,
+                "changes": changes(trained),
+                "seed": trained.seed,
+                "trained": made,
+                "evaluations": evaluated(world, folder / "policy.npz", config),
+            }
+            record = {
+                "schema": SCHEMA,
+                "settings": to_record(config),
+                "rows": list(rows.values()),
+                "provenance": provenance(config.seed),
+            }
+            write_json(config.out, record)
+            bar.update(job, advance=1)
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(AblationConfig, description=__doc__)))

@@ -26,6 +26,7 @@ from mjx_grasp.evaluation.tables import (
     read_groups,
 )
 from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.records.table import Table
 
 CITATION = (
@@ -47,7 +48,15 @@ EQUAL_FORCE = (
 WITHIN_BUDGET = (
     "The share of all trials that are lifted and whose mean force per finger stays within the "
     "budget, and differences of it in percentage points with the same intervals. Each controller "
-    "at the best of its settings for each budget."
+    "at the best of its settings for each budget; *best of each trial* is the share of trials for "
+    "which at least one of all these controllers and settings did it, which bounds what any choice "
+    "among them can reach."
+)
+ON_WALLS = (
+    "What the weight alone asks of three contacts on upright walls that share it: a contact that "
+    "carries as much friction as it can, μ times its normal force, has a net force of "
+    "m·g·√(1 + μ²) / 3μ. To lift faster, or with contacts that are not ideal, takes more; contacts "
+    "under a slope take less."
 )
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
@@ -55,6 +64,8 @@ LAYERS = (
     "resets, PPO's updates. Then parts of one physics step, of which a tick has five, and the "
     "speed of the whole loop as a share of MuJoCo Warp's:"
 )
+_GRAVITY = 9.81  # m/s²
+_WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _STEP_PARTS = {
     "step": "step",
@@ -108,8 +119,23 @@ def all_conditions(paths: Sequence[Path]) -> str:
     for make, text in ((equal_force_table, EQUAL_FORCE), (budget_table, WITHIN_BUDGET)):
         if (table := make(groups)).rows:
             parts += [f"### {table.title}", text, markdown(table)]
+    table = least_forces(sorted({name for group in groups for name in group.objects}))
+    parts += [f"### {table.title}", ON_WALLS, markdown(table)]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
+
+
+def least_forces(names: Sequence[str]) -> Table:
+    """What the objects' weights ask of contacts on upright walls, heaviest first."""
+    rows = []
+    catalogue = load_catalogue()
+    known = [catalogue[name] for name in names if name in catalogue]
+    for info in sorted(known, key=lambda info: -info.mass):
+        shares = [_GRAVITY * info.mass * math.hypot(1.0, mu) / (3.0 * mu) for mu in _WALL_FRICTIONS]
+        label = info.name.replace("_", " ")
+        rows.append((label, f"{1e3 * info.mass:.0f}", *(f"{share:.1f}" for share in shares)))
+    header = ("object", "mass g", *(f"N at friction {mu:g}" for mu in _WALL_FRICTIONS))
+    return Table("Least force per finger on upright walls", header, tuple(rows), names=1)
 
 
 def _means_by_engine(groups: Groups) -> list[str]:

@@ -142,6 +142,17 @@ def success_within(
     return 100.0 * np.max(weights @ np.swapaxes(within, -1, -2), axis=-1).T
 
 
+def success_within_by_any(
+    trials: SameStarts, weights: Weights, budgets: Float[np.ndarray, " b"]
+) -> Float[np.ndarray, "r b"]:
+    """The same if the best of all controllers were known for each trial [%].
+
+    Whoever chooses among these controllers does no better.
+    """
+    best = np.where(trials.success, trials.force, np.inf).min(axis=0)
+    return 100.0 * weights @ (best <= budgets[:, None]).T
+
+
 def interval(values: Float[np.ndarray, "r *b"]) -> Float[np.ndarray, "2 *b"]:
     """Bootstrap 95 % interval of what was computed for each of the weights."""
     return np.quantile(values[1:], [0.025, 0.975], axis=0)

@@ -18,6 +18,7 @@ from mjx_grasp.evaluation.judging import (
     resampled,
     same_starts,
     success_within,
+    success_within_by_any,
 )
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
@@ -149,6 +150,8 @@ def test_success_within_a_budget_rises_with_it_up_to_all_success(drawn, order):
     best = success_within(found, weights, order, BUDGETS)
     each = [success_within(found, weights, [c], BUDGETS) for c in range(3)]
     np.testing.assert_allclose(best, np.max(each, axis=0))
+    of_each_trial = success_within_by_any(found, weights, BUDGETS)
+    assert (of_each_trial >= best - 1e-9).all()
 
 
 def test_success_within_a_budget_by_hand():
@@ -157,6 +160,7 @@ def test_success_within_a_budget_by_hand():
     assert success_within(found, once, [0], BUDGETS)[0] == pytest.approx([0, 20, 40, 60, 60])
     gains = gains_within(found, resampled(found), [0], [1], BUDGETS)
     assert [g.value for g in gains] == pytest.approx([0, 20, 20, 40, 40])
+    assert success_within_by_any(found, once, BUDGETS)[0] == pytest.approx([0, 20, 60, 80, 80])
 
 
 @given(trials())

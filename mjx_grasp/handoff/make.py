@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
 from rich.console import Console
 from rich.progress import TaskID
 
@@ -10,13 +15,23 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
+from mjx_grasp.handoff.reached import ReachedGenerator
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.model import load_objects, stand_in_hash
+from mjx_grasp.objects.model import ObjectModel, load_objects, stand_in_hash
 from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.spec import RobotSpec, load_robot
+
+
+class Maker(Protocol):
+    """Makes an object's states of one kind."""
+
+    def generate(
+        self, obj: ObjectModel, progress: Callable[[int], None]
+    ) -> tuple[HandoffSet, ObjectReport]:
+        """The states, and what was refused; `progress` is told how many states are there."""
 
 
 def make_handoffs(
@@ -48,7 +63,7 @@ def make_handoffs(
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
     objects = load_objects(config.objects, config.objects_dir, weight=config.weight)
-    generator = HandoffGenerator(robot, config)
+    makers = _makers(robot, config)
     with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)
         for done, obj in enumerate(objects):
@@ -58,11 +73,16 @@ def make_handoffs(
                 progress.update(task, completed=kept)
                 progress.update(everything, completed=done * config.per_object + kept)
 
-            handoffs, report = generator.generate(obj, show)
+            made = []
+            for maker in makers:
+                before_it = sum(report.kept for _, report in made)
+                made.append(maker.generate(obj, lambda kept, n=before_it: show(n + kept)))
             progress.update(task, visible=False)
             progress.update(everything, completed=(done + 1) * config.per_object)
-            sets.append(handoffs)
-            reports.append(report)
+            sets += mixture([states for states, _ in made], config)
+            for states, (_, report) in zip(sets[-len(made) :], made, strict=True):
+                report.keep(states, report.seconds)
+                reports.append(report)
     merged = merge(sets)
     if len(merged) == 0:
         raise InputError(
@@ -76,6 +96,37 @@ def make_handoffs(
     path = config.out.with_suffix(".json")
     write_report(path, reports, made, settings, earlier)
     return merged, reports
+
+
+def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:
+    """What makes the states of each kind that is wanted, ik before reached."""
+    ik, reached = config.shares(config.per_object)
+    makers: list[Maker] = []
+    if ik:
+        makers.append(HandoffGenerator(robot, replace(config, per_object=ik)))
+    if reached:
+        makers.append(ReachedGenerator(robot, replace(config, per_object=reached)))
+    return makers
+
+
+def mixture(parts: Sequence[HandoffSet], config: HandoffConfig) -> list[HandoffSet]:
+    """An object's states of each kind, as many as the share of the mixture lets it keep.
+
+    Where one kind has fewer states than it should, the other gives up some of its own: the share
+    holds for every object, if need be with none at all.
+
+    Args:
+        parts: One set per kind, ik before reached.
+        config: How many, and the share.
+    """
+    if config.kind != "mixed":
+        return list(parts)
+    most = next(
+        n
+        for n in range(config.per_object, -1, -1)
+        if n == 0 or all(0 < k <= len(p) for k, p in zip(config.shares(n), parts, strict=True))
+    )
+    return [p.take(np.arange(k)) for p, k in zip(parts, config.shares(most), strict=True)]
 
 
 def _warn_of_mixed_shapes(kept: HandoffSet, config: HandoffConfig, console: Console | None) -> None:

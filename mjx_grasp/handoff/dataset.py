@@ -156,7 +156,7 @@ class HandoffSet:
             InputError: A name is impossible.
             FileError: Arrays do not fit each other, or hold no such states.
         """
-        header = _Header(*(getattr(self, name) for name in _NAMES), kind=self.kind)
+        header = _Header(**{name: getattr(self, name) for name in (*_NAMES, "kind")})
         write_archive(path, _KIND, header, {name: getattr(self, name) for name in _ARRAYS})
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -23,6 +23,9 @@ from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
+
+_IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None}
+"""What a search for postures knows nothing of."""
 
 
 class Maker(Protocol):
@@ -73,16 +76,11 @@ def make_handoffs(
                 progress.update(task, completed=kept)
                 progress.update(everything, completed=done * config.per_object + kept)
 
-            made = []
-            for maker in makers:
-                before_it = sum(report.kept for _, report in made)
-                made.append(maker.generate(obj, lambda kept, n=before_it: show(n + kept)))
+            states, said = _of_each_kind(obj, makers, config, show)
             progress.update(task, visible=False)
             progress.update(everything, completed=(done + 1) * config.per_object)
-            sets += mixture([states for states, _ in made], config)
-            for states, (_, report) in zip(sets[-len(made) :], made, strict=True):
-                report.keep(states, report.seconds)
-                reports.append(report)
+            sets += states
+            reports += said
     merged = merge(sets)
     if len(merged) == 0:
         raise InputError(
@@ -103,10 +101,30 @@ def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:
     ik, reached = config.shares(config.per_object)
     makers: list[Maker] = []
     if ik:
-        makers.append(HandoffGenerator(robot, replace(config, per_object=ik)))
+        makers.append(HandoffGenerator(robot, replace(config, **_IK_ALONE, per_object=ik)))
     if reached:
-        makers.append(ReachedGenerator(robot, replace(config, per_object=reached)))
+        makers.append(ReachedGenerator(robot, replace(config, kind="reached", per_object=reached)))
     return makers
+
+
+def _of_each_kind(
+    obj: ObjectModel, makers: Sequence[Maker], config: HandoffConfig, show: Callable[[int], None]
+) -> tuple[list[HandoffSet], list[ObjectReport]]:
+    """An object's states and reports, one of each maker."""
+    sets: list[HandoffSet] = []
+    reports: list[ObjectReport] = []
+    for maker in makers:
+
+        def together(kept: int, before: int = sum(map(len, sets))) -> None:
+            show(before + kept)
+
+        states, report = maker.generate(obj, together)
+        sets.append(states)
+        reports.append(report)
+    sets = mixture(sets, config)
+    for states, report in zip(sets, reports, strict=True):
+        report.keep(states, report.seconds)
+    return sets, reports
 
 
 def mixture(parts: Sequence[HandoffSet], config: HandoffConfig) -> list[HandoffSet]:

@@ -132,9 +132,7 @@ class ReachedGenerator:
                 progress(len(rows))
                 if len(rows) == config.per_object:
                     break
-        made = as_set(
-            self._reacher.body, self._reacher.selection.targets, obj, rows, reached=True
-        )
+        made = as_set(self._reacher.body, self._reacher.selection.targets, obj, rows, reached=True)
         report.keep(made, time.perf_counter() - started)
         return made, report
 
@@ -153,10 +151,12 @@ class ReachedGenerator:
         numbers = jnp.arange(report.poses, report.poses + count)
         keys = jax.vmap(partial(jax.random.fold_in, key))(numbers)
         plans = plans_still(self._planner, self._library, task.what, pos, turns, keys)
-        found = reach_still(self._reacher, task.what, Placed(pos, turns, plans))
+        found = reach_still(
+            self._reacher, task.what, Placed(jnp.asarray(pos), jnp.asarray(turns), plans)
+        )
         report.poses += count
         report.sampled += count
-        rows = []
+        rows: list[Row] = []
         for n, outcome in enumerate(self._outcomes(task.checker, found, pos, quat)):
             report.poses_without_candidate += outcome == "no-candidate"
             report.converged += outcome not in ("no-candidate", "not-reached")
@@ -198,7 +198,7 @@ class ReachedGenerator:
             elif touch[n] > posture.touch_error:
                 yield "touch"
             else:
-                yield checker.reason(found.q[n], pos[n], quat[n])
+                yield checker.reason(np.asarray(found.q[n]), pos[n], quat[n])
 
 
 def _ahead(

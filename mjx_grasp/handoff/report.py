@@ -92,7 +92,9 @@ class ObjectReport:
         derived = {
             "rejected": rejected,
             "seconds": round(self.seconds, 2),
-            "reach_seconds": dict(zip(("50", "95"), taken)) if self.reach_seconds else None,
+            "reach_seconds": dict(zip(("50", "95"), taken, strict=True))
+            if self.reach_seconds
+            else None,
             "eligible": self.eligible,
             "feasible_share": round(self.feasible_share, 4),
         }
@@ -121,8 +123,7 @@ def tip_errors(states: HandoffSet) -> dict[str, dict[str, float]]:
 
 # The table joins reasons that are alike; the JSON keeps them apart.
 _COLUMNS = {
-    "no IK": ("unreachable", "limits"),
-    "no way": ("no-candidate", "not-reached"),
+    "no way": ("unreachable", "limits", "no-candidate", "not-reached"),
     "axis": ("reach-axis",),
     "lift": ("lift",),
     "touch": ("touch",),
@@ -132,8 +133,8 @@ _COLUMNS = {
     "object": ("hand-object",),
 }
 _CAPTION = (
-    "tried, and refused for: no inverse kinematics; no candidate, or no end to the reach; an axis that the selection would not take; an "
-    "arm that cannot lift straight up from there; a finger that cannot touch its contact; a "
+    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis "
+    "that the selection would not take; an arm that cannot lift straight up from there; a finger that cannot touch its contact; a "
     "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
     "are the others, kept as many as were asked for, few of each candidate."
 )
@@ -144,13 +145,15 @@ def report_table(reports: Sequence[ObjectReport]) -> Table:
     table = Table(title="Start states: pairs of object pose and candidate", box=SIMPLE, padding=0)
     table.caption, table.caption_justify = _CAPTION, "left"
     table.add_column("object", no_wrap=True)
-    table.add_column("kind")
+    kinds = {r.kind for r in reports} - {"ik"}
+    if kinds:
+        table.add_column("kind")
     for column in ("tried", *_COLUMNS, "feasible", "kept", "s"):
         table.add_column(column, justify="right")
     for r in reports:
         table.add_row(
             r.name,
-            r.kind,
+            *([r.kind] if kinds else []),
             str(r.sampled),
             *(str(sum(r.rejected[reason] for reason in group)) for group in _COLUMNS.values()),
             f"{100 * r.feasible_share:.0f} %",

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -17,7 +18,7 @@ from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import FINGERS, Body
 from mjx_grasp.reaching.fields import midpoint
 
-Row = Mapping[str, np.ndarray]
+Row = Mapping[str, np.ndarray | Array]
 """One state: pose of the object, q, targets, normals, score and tip errors by their names."""
 
 
@@ -46,10 +47,8 @@ def as_set(
         name: np.array([row[name] for row in rows], np.float32).reshape(-1, *tail)
         for name, tail in shapes.items()
     }
-    errors = [
-        _midpoint_error(body, targets, *(arrays[k][n] for k in ("q", "target_pos", "target_normal")))
-        for n in range(len(rows))
-    ]
+    placed = zip(arrays["q"], arrays["target_pos"], arrays["target_normal"], strict=True)
+    errors = [_midpoint_error(body, targets, *map(jnp.asarray, state)) for state in placed]
     return HandoffSet(
         object_index=np.zeros(len(rows), np.int32),
         **arrays,
@@ -65,9 +64,9 @@ def as_set(
 def _midpoint_error(
     body: Body,
     targets: TargetConfig,
-    q: Float[Array | np.ndarray, " joints"],
-    position: Float[Array | np.ndarray, "3 3"],
-    normal: Float[Array | np.ndarray, "3 3"],
+    q: Float[Array, " joints"],
+    position: Float[Array, "3 3"],
+    normal: Float[Array, "3 3"],
 ) -> Float[Array, ""]:
     """Of the midpoint of the tips, from that of their standoff targets [m]."""
     with jax.default_matmul_precision("highest"):

@@ -321,9 +321,8 @@ class Reacher:
         progress = _Progress(
             error=error,
             to_go=jnp.where(guide.known & (guide.astray < 0.5), to_go, jnp.inf),
-            ready=targets.valid & is_ready(
-                config.gate, timer, error, report.midpoint, jnp.max(report.speed)
-            ),
+            ready=targets.valid
+            & is_ready(config.gate, timer, error, report.midpoint, jnp.max(report.speed)),
             timer=timer,
             waits=moves | passes,
         )

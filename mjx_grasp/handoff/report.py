@@ -85,16 +85,20 @@ class ObjectReport:
         """Share of the pairs of pose and candidate that have an accepted state."""
         return self.feasible / self.sampled if self.sampled else 0.0
 
+    def _percentiles(self) -> dict[str, float] | None:
+        """Of the times of reaching; None without any."""
+        times = self.reach_seconds
+        return (
+            {f"{p}": round(float(np.percentile(times, p)), 2) for p in (50, 95)} if times else None
+        )
+
     def as_row(self) -> dict[str, Any]:
         """The report as JSON types, with every reason counted."""
         rejected = {reason: self.rejected[reason] for reason in OUTCOMES}
-        taken = [round(t, 2) for t in np.percentile(self.reach_seconds or [np.nan], (50, 95))]
         derived = {
             "rejected": rejected,
             "seconds": round(self.seconds, 2),
-            "reach_seconds": dict(zip(("50", "95"), taken, strict=True))
-            if self.reach_seconds
-            else None,
+            "reach_seconds": self._percentiles(),
             "eligible": self.eligible,
             "feasible_share": round(self.feasible_share, 4),
         }
@@ -133,10 +137,10 @@ _COLUMNS = {
     "object": ("hand-object",),
 }
 _CAPTION = (
-    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis "
-    "that the selection would not take; an arm that cannot lift straight up from there; a finger that cannot touch its contact; a "
-    "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
-    "are the others, kept as many as were asked for, few of each candidate."
+    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis that the "
+    "selection would not take; an arm that cannot lift straight up from there; a finger that cannot "
+    "touch its contact; a collision of the robot with itself, of the arm, of the hand with table or "
+    "object. Feasible are the others, kept as many as were asked for, few of each drawn candidate."
 )
 
 

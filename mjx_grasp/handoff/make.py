@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -28,13 +28,8 @@ _IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": N
 """What a search for postures knows nothing of."""
 
 
-class Maker(Protocol):
-    """Makes an object's states of one kind."""
-
-    def generate(
-        self, obj: ObjectModel, progress: Callable[[int], None]
-    ) -> tuple[HandoffSet, ObjectReport]:
-        """The states, and what was refused; `progress` is told how many states are there."""
+Maker = Callable[[ObjectModel, Callable[[int], None]], tuple[HandoffSet, ObjectReport]]
+"""Makes an object's states of one kind; the function given is told how many there are."""
 
 
 def make_handoffs(
@@ -97,13 +92,15 @@ def make_handoffs(
 
 
 def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:
-    """What makes the states of each kind that is wanted, ik before reached."""
+    """Those of the kinds that are wanted, ik before reached."""
     ik, reached = config.shares(config.per_object)
     makers: list[Maker] = []
     if ik:
-        makers.append(HandoffGenerator(robot, replace(config, **_IK_ALONE, per_object=ik)))
+        alone = replace(config, **_IK_ALONE, per_object=ik)
+        makers.append(HandoffGenerator(robot, alone).generate)
     if reached:
-        makers.append(ReachedGenerator(robot, replace(config, kind="reached", per_object=reached)))
+        alone = replace(config, kind="reached", per_object=reached)
+        makers.append(ReachedGenerator(robot, alone).generate)
     return makers
 
 
@@ -118,7 +115,7 @@ def _of_each_kind(
         def together(kept: int, before: int = sum(map(len, sets))) -> None:
             show(before + kept)
 
-        states, report = maker.generate(obj, together)
+        states, report = maker(obj, together)
         sets.append(states)
         reports.append(report)
     sets = mixture(sets, config)

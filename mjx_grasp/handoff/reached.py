@@ -6,6 +6,7 @@ take on the robot. So few candidates may have most of the states, and no draw ev
 
 from __future__ import annotations
 
+import math
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -103,6 +104,7 @@ class ReachedGenerator:
         self._reacher = Reacher(robot_body(robot), settings.reach, settings.selection)
         self._planner = Planner(self._reacher, settings.plan)
         self._library = start_library(self._reacher.body, settings.plan)
+        self._worlds = min(WORLDS, config.sampling.poses_per_round)
 
     def generate(
         self, obj: ObjectModel, progress: Callable[[int], None] = lambda kept: None
@@ -141,8 +143,9 @@ class ReachedGenerator:
     ) -> list[Row]:
         """Draws poses, reaches for the object at each, checks where the hand came to."""
         sampling = self._config.sampling
-        full = WORLDS * -(-round(_SPARE * missing) // WORLDS)
-        count = max(min(full, sampling.poses_per_round), 1)
+        # A full round, or as many as the worlds can do together that are likely to be enough.
+        full = self._worlds * math.ceil(_SPARE * missing / self._worlds)
+        count = min(full, sampling.poses_per_round)
         resting = poses_at_rest(task.obj, sampling.standing)
         pos, quat = sample_object_poses(resting, count, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
@@ -150,10 +153,9 @@ class ReachedGenerator:
         turns = np.array([rotation_matrix(q) for q in quat], np.float32)
         numbers = jnp.arange(report.poses, report.poses + count)
         keys = jax.vmap(partial(jax.random.fold_in, key))(numbers)
-        plans = plans_still(self._planner, self._library, task.what, pos, turns, keys)
-        found = reach_still(
-            self._reacher, task.what, Placed(jnp.asarray(pos), jnp.asarray(turns), plans)
-        )
+        plans = plans_still(self._planner, self._library, task.what, pos, turns, keys, self._worlds)
+        placed = Placed(jnp.asarray(pos), jnp.asarray(turns), plans)
+        found = reach_still(self._reacher, task.what, placed, self._worlds)
         report.poses += count
         report.sampled += count
         rows: list[Row] = []
@@ -187,7 +189,7 @@ class ReachedGenerator:
     ) -> Iterator[str | None]:
         """Why each reach is refused; None if it is not."""
         posture = self._config.posture
-        lift, touch = _ahead(self._reacher.body, posture.lift_height, found)
+        lift, touch = _ahead(self._reacher.body, posture.lift_height, found, self._worlds)
         for n, outcome in enumerate(found.outcome):
             if outcome == ReachOutcome.NO_CANDIDATE:
                 yield "no-candidate"
@@ -202,14 +204,14 @@ class ReachedGenerator:
 
 
 def _ahead(
-    body: Body, height: float, found: Arrival
+    body: Body, height: float, found: Arrival, worlds: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """What a lift straight up and a closing hand would lack of their ends, in one size [m]."""
     count, parts = len(found.q), []
-    for first in range(0, count, WORLDS):
-        rows = np.minimum(np.arange(first, first + WORLDS), count - 1)
+    for first in range(0, count, worlds):
+        rows = np.minimum(np.arange(first, first + worlds), count - 1)
         part = _lacking(body, height, found.q[rows], found.position[rows])
-        kept = min(WORLDS, count - first)
+        kept = min(worlds, count - first)
         parts.append([np.asarray(leaf)[:kept] for leaf in part])
     lift, touch = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
     return lift, touch

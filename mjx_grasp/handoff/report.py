@@ -137,10 +137,11 @@ _COLUMNS = {
     "object": ("hand-object",),
 }
 _CAPTION = (
-    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis that the "
-    "selection would not take; an arm that cannot lift straight up from there; a finger that cannot "
-    "touch its contact; a collision of the robot with itself, of the arm, of the hand with table or "
-    "object. Feasible are the others, kept as many as were asked for, few of each drawn candidate."
+    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis that "
+    "the selection would not take; an arm that cannot lift straight up from there; a finger that "
+    "cannot touch its contact; a collision of the robot with itself, of the arm, of the hand with "
+    "table or object. Feasible are the others, kept as many as were asked for, few of each drawn "
+    "candidate."
 )
 
 

@@ -7,7 +7,6 @@ nothing of each other, what comes of a reach does not depend on which others the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -24,7 +23,7 @@ from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachSta
 from mjx_grasp.reaching.planning import Planner
 
 WORLDS = 32
-"""Reaches under way at once, and plans looked for in one call."""
+"""Reaches under way at once, and plans looked for in one call, if nothing else is asked for."""
 _AT_ONCE = 8
 """Plans worked on at once: few enough for a processor's cache."""
 _SEGMENT = 25
@@ -86,6 +85,7 @@ def plans_still(
     p_wo: Float[np.ndarray, "n 3"],
     R_wo: Float[np.ndarray, "n 3 3"],
     keys: Array,
+    worlds: int = WORLDS,
 ) -> Plans:
     """Plans from home, of one compiled size.
 
@@ -96,12 +96,13 @@ def plans_still(
         p_wo: Its origins in world [m].
         R_wo: Its rotations.
         keys: One for each, of what is tried at random.
+        worlds: That size.
     """
     found, count = [], len(p_wo)
-    for first in range(0, count, WORLDS):
-        rows = np.minimum(np.arange(first, first + WORLDS), count - 1)
+    for first in range(0, count, worlds):
+        rows = np.minimum(np.arange(first, first + worlds), count - 1)
         part = _search(planner, library, what, p_wo[rows], R_wo[rows], keys[rows])
-        kept = min(WORLDS, count - first)
+        kept = min(worlds, count - first)
         found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
@@ -110,7 +111,7 @@ def reach_still(
     reacher: Reacher,
     what: StillObject,
     placed: Placed,
-    progress: Callable[[int], None] = lambda done: None,
+    worlds: int = WORLDS,
 ) -> Arrival:
     """Reaches from home until each has ended; arrays of NumPy.
 
@@ -118,27 +119,26 @@ def reach_still(
         reacher: The controller; its time-out has to be finite, or a reach may never end.
         what: The object.
         placed: Where it stands.
-        progress: Told how many have ended.
+        worlds: Reaches under way at once.
     """
     count = len(placed.p_wo)
-    rows = np.minimum(np.arange(WORLDS), count - 1)
-    following, ended = min(WORLDS, count), np.zeros(count, bool)
+    rows = np.minimum(np.arange(worlds), count - 1)
+    following, ended = min(worlds, count), np.zeros(count, bool)
     ends: list[Arrival | None] = [None] * count
-    worlds = _begun(reacher, what, _of(placed, rows))
+    running = _begun(reacher, what, _of(placed, rows))
     while not ended.all():
-        worlds = _gone_on(reacher, what, _of(placed, rows), worlds)
-        here = jax.tree.map(np.asarray, worlds.arrival)
+        running = _gone_on(reacher, what, _of(placed, rows), running)
+        here = jax.tree.map(np.asarray, running.arrival)
         idle = np.flatnonzero(here.outcome != ReachOutcome.RUNNING)
         for world in idle:
             ends[rows[world]] = Arrival(*(leaf[world] for leaf in here))
         ended[rows[idle]] = True
-        progress(int(ended.sum()))
         idle = idle[: count - following]
         if len(idle):
             rows[idle] = np.arange(following, following + len(idle))
             following += len(idle)
-            mask = np.isin(np.arange(WORLDS), idle)
-            worlds = _taken_up(reacher, what, _of(placed, rows), worlds, mask)
+            mask = np.isin(np.arange(worlds), idle)
+            running = _taken_up(reacher, what, _of(placed, rows), running, mask)
     return jax.tree.map(lambda *leaves: np.stack(leaves), *ends)
 
 

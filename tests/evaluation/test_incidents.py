@@ -31,7 +31,7 @@ def said(scene, starts, monkeypatch):
         console = Console(file=io.StringIO(), width=200)
         world = World(scene, starts)
         task = TaskConfig(episode_s=0.1)
-        rows, trials = evaluate(world, ["box"], config, None, "ik", console, task)
+        rows, trials = evaluate(world, ["box"], config, None, np.zeros(9, bool), console, task)
         assert [row.object for row in rows] == ["box"]
         return trials["box"], console.file.getvalue()
 

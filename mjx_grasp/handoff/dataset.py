@@ -126,11 +126,11 @@ class HandoffSet:
         return dict(zip(self.object_names, counts.tolist(), strict=True))
 
     def split(self, eval_share: float = 0.25, seed: int = 0) -> tuple[HandoffSet, HandoffSet]:
-        """Splits every object's states at random into training and evaluation.
+        """Splits every object's states of each kind at random into training and evaluation.
 
         Args:
-            eval_share: Share of each object's states that goes to the second set, rounded; an
-                object with several states keeps at least one on either side.
+            eval_share: Share of each object's states of one kind that goes to the second set,
+                rounded; with several there is at least one on either side.
             seed: Of the split.
 
         Raises:
@@ -140,13 +140,14 @@ class HandoffSet:
             raise InputError("eval_share", eval_share, "a number between 0 and 1")
         held = np.zeros(len(self), dtype=bool)
         for index, name in enumerate(self.object_names):
-            rows = np.flatnonzero(self.object_index == index)
-            count = round(eval_share * len(rows))
-            if len(rows) > 1:
-                count = min(max(count, 1), len(rows) - 1)
             # By name: an object is split alike whatever the other objects of the set are.
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            held[rng.permutation(rows)[:count]] = True
+            for kind in (False, True):
+                rows = np.flatnonzero((self.object_index == index) & (self.reached == kind))
+                count = round(eval_share * len(rows))
+                if len(rows) > 1:
+                    count = min(max(count, 1), len(rows) - 1)
+                held[rng.permutation(rows)[:count]] = True
         return self.take(~held), self.take(held)
 
     def save(self, path: str | Path) -> None:

@@ -235,6 +235,15 @@ def test_split_parts_every_object_and_depends_on_the_seed_alone():
         handoffs.split(1.0, 0)
 
 
+def test_a_mixture_is_split_into_mixtures():
+    mixed = merge([some(40, 0), some(120, 1, kind="reached")])
+    for name in ("box", "can"):
+        both = mixed.select([name])
+        for part, share in zip(both.split(0.25, 3), (0.75, 0.25), strict=True):
+            assert abs(part.reached.sum() - share * both.reached.sum()) <= 0.5
+            assert abs((~part.reached).sum() - share * (~both.reached).sum()) <= 0.5
+
+
 def test_an_objects_split_does_not_depend_on_the_others():
     handoffs = some(100)
     alone = handoffs.select(["can"]).split(0.3, 0)[1]

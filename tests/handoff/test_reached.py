@@ -181,6 +181,7 @@ def test_gates_are_those_that_are_asked_for(tmp_path):
     assert asked.reach.controller.gate == replace(GATES["paper"], midpoint=0.02)
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("change", "field"),
     [
@@ -198,6 +199,7 @@ def test_bad_settings_are_refused_by_name(config, change, field):
         replace(config, **change)
 
 
+@pytest.mark.wrong_types
 def test_a_kind_or_gate_that_nobody_knows_is_refused(config):
     for change in ({"kind": "guessed"}, {"gate": "wide"}):
         with pytest.raises(InputError, match=f"--{next(iter(change))}: "):

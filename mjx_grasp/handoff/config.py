@@ -102,6 +102,9 @@ class HandoffConfig(ObjectsConfig):
     tips is near; converged, when every tip is within 20 mm and slow"""
     gate_midpoint: Positive | None = None
     """midpoint error below which the gate opens, instead of its own [m]"""
+    fix_idle_fingers: bool = True
+    """whether fingers that take no part in a grasp stay at zero while the others reach, which
+    trainings that fix them need; else they make way, as on the robot"""
     max_rounds: Count = 20
     """rounds of sampling before an object is left with what it has [-]"""
     max_per_candidate: Count = 4

@@ -41,6 +41,7 @@ from mjx_grasp.reaching.still import (
     plans_still,
     reach_still,
 )
+from mjx_grasp.robot.mjcf import joint_columns
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
@@ -96,12 +97,15 @@ class ReachedGenerator:
             config: Settings; `per_object` is how many reached states are wanted.
 
         Raises:
-            InputError: The robot does not reach the object area.
+            InputError: The robot does not reach the object area, or has idle fingers that are to
+                stay at zero, but are bent at home.
         """
         self._robot, self._config = robot, config
         settings = reach_settings(config)
         assert settings.plan is not None
-        self._reacher = Reacher(robot_body(robot), settings.reach, settings.selection)
+        moves = robot.without_idle_fingers() if config.fix_idle_fingers else robot
+        self._body, self._columns = robot_body(robot), joint_columns(moves)
+        self._reacher = Reacher(robot_body(moves), settings.reach, settings.selection)
         self._planner = Planner(self._reacher, settings.plan)
         self._library = start_library(self._reacher.body, settings.plan)
         self._worlds = min(WORLDS, config.sampling.poses_per_round)
@@ -134,7 +138,7 @@ class ReachedGenerator:
                 progress(len(rows))
                 if len(rows) == config.per_object:
                     break
-        made = as_set(self._reacher.body, self._reacher.selection.targets, obj, rows, reached=True)
+        made = as_set(self._body, self._reacher.selection.targets, obj, rows, reached=True)
         report.keep(made, time.perf_counter() - started)
         return made, report
 
@@ -159,7 +163,9 @@ class ReachedGenerator:
         report.poses += count
         report.sampled += count
         rows: list[Row] = []
-        for n, outcome in enumerate(self._outcomes(task.checker, found, pos, quat)):
+        q = np.zeros((count, len(self._robot.joints)), np.float32)
+        q[:, self._columns] = found.q
+        for n, outcome in enumerate(self._outcomes(task.checker, found, q, pos, quat)):
             report.poses_without_candidate += outcome == "no-candidate"
             report.converged += outcome not in ("no-candidate", "not-reached")
             if outcome is not None:
@@ -171,7 +177,7 @@ class ReachedGenerator:
                 {
                     "object_pos": pos[n],
                     "object_quat": quat[n],
-                    "q": found.q[n],
+                    "q": q[n],
                     "target_pos": found.position[n],
                     "target_normal": found.normal[n],
                     "score": found.score[n],
@@ -184,6 +190,7 @@ class ReachedGenerator:
         self,
         checker: CollisionChecker,
         found: Arrival,
+        q: Float[np.ndarray, "n joints"],
         pos: Float[np.ndarray, "n 3"],
         quat: Float[np.ndarray, "n 4"],
     ) -> Iterator[str | None]:
@@ -200,7 +207,7 @@ class ReachedGenerator:
             elif touch[n] > posture.touch_error:
                 yield "touch"
             else:
-                yield checker.reason(np.asarray(found.q[n]), pos[n], quat[n])
+                yield checker.reason(q[n], pos[n], quat[n])
 
 
 def _ahead(

@@ -21,7 +21,9 @@ from mjx_grasp.pipeline.assemble import known_object
 from mjx_grasp.reaching.controller import ReachOutcome
 from mjx_grasp.reaching.presets import GATES
 from mjx_grasp.reaching.still import Placed, StillObject, plans_still, reach_still
-from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.robot.mjcf import joint_columns
+from mjx_grasp.sim.scene import SceneConfig, build_scene
+from mjx_grasp.tasks.starts import build_starts
 
 WANTED, WORLDS = 6, 4
 
@@ -87,6 +89,15 @@ def test_every_state_is_one_for_which_the_gate_opens(generated, config):
     arrived = (handoffs.midpoint < gate.midpoint) & (worst <= gate.tips)
     waited = np.array(report.reach_seconds[: len(handoffs)]) >= gate.late
     assert np.all(arrived | (waited & (worst <= gate.late_tips)))
+
+
+def test_idle_fingers_stay_where_a_training_fixes_them(generated, brick, robot):
+    handoffs, _ = generated
+    used = joint_columns(robot.without_idle_fingers())
+    assert np.all(np.delete(handoffs.q, used, axis=1) == 0.0)
+    assert np.ptp(handoffs.q[:, used], axis=0).min() > 0
+    scene = build_scene([brick], robot, SceneConfig(fix_idle_fingers=True))
+    assert len(build_starts(scene, handoffs, 5).qpos) == len(handoffs)
 
 
 def test_targets_are_those_of_the_object_where_it_lies(generated, brick):

@@ -139,7 +139,8 @@ def main(config: ComparisonConfig) -> None:
     names, without = eligible(scene.object_names, stored)
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
-    world = build_world(scene, states_of(stored, names, config.states), TaskConfig().control_dt)
+    states = states_of(stored, names, config.states)
+    world = build_world(scene, states, TaskConfig().control_dt)
     rows: list[ResultRow] = []
     counted: dict[str, int] = {}
     for name in config.conditions:
@@ -155,7 +156,7 @@ def main(config: ComparisonConfig) -> None:
         controllers = asked_controllers(base, config, policy_task(policy).observation.budget)
         for chosen in controllers:
             controller = policy if chosen.controller == "policy" else None
-            new, trials = evaluate(world, names, chosen, controller, stored.kind, console)
+            new, trials = evaluate(world, names, chosen, controller, states.reached, console)
             rows += new
             for what, count in incidents(trials.values()).items():
                 counted[what] = counted.get(what, 0) + count

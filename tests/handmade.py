@@ -125,9 +125,10 @@ def handoffs(objects, turns=(0.0, 0.1, -0.15)):
         target_normal=np.array(rows["normal"], np.float32),
         score=np.ones(n, np.float32),
         residual=np.zeros((n, 3), np.float32),
+        midpoint=np.zeros(n, np.float32),
+        reached=np.zeros(n, bool),
         object_names=tuple(o.name for o in objects),
         object_content_hash=tuple(o.content_hash for o in objects),
-        kind="ik",
     )
 
 

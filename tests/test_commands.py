@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import handmade
+import numpy as np
 import pytest
 from rich.console import Console
 from typed import refusal
@@ -102,6 +103,20 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
     assert "states.npz: found a changed file" in error and str(run) in error
+
+
+def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):
+    stored = load_handoffs(asset_path("handoffs_standins.npz")).select(["foam_brick"])
+    states, run = tmp_path / "states.npz", tmp_path / "run"
+    replace(stored, reached=np.arange(len(stored)) % 2 == 0).save(states)
+    for name in ("_build", "_run"):
+        monkeypatch.setattr(job, name, lambda *_: None)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
+    config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
+    run_training(config, Console(quiet=True))
+    made = json.loads((run / "provenance.json").read_text())
+    share = round(np.mean(np.arange(len(stored)) % 2 == 0), 4)
+    assert made["handoffs"] == {"kind": "mixed", "reached_share": share}
 
 
 def test_a_run_is_never_overwritten(trained):

@@ -45,7 +45,7 @@ def evaluate_to_file(config: EvaluateConfig, console: Console) -> list[ResultRow
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig(), config.weight)
     task = policy_task(policy) if policy else TaskConfig()
     world = build_world(scene, states, task.control_dt)
-    rows, trials = evaluate(world, names, config, policy, stored.kind, console)
+    rows, trials = evaluate(world, names, config, policy, states.reached, console)
     write_results(
         config.out,
         rows,

@@ -13,13 +13,13 @@ import numpy as np
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
+from mjx_grasp.handoff.dataset import KINDS
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 from mjx_grasp.tasks.config import RobotErrors
 
 PROVENANCE_KEYS = ("command", "git", "versions", "device", "seed")
-HANDOFFS = ("ik", "reached")
 OUTCOMES = {"successes": "S", "never_lifted": "L", "not_held": "H", "slipped": "P"}
 """The letter of each outcome of a trial, by the row's count of it."""
 
@@ -53,7 +53,7 @@ class ResultRow:
     friction: float
     """Sliding friction of the object's contacts [-]."""
     handoffs: str
-    """Start states: 'ik' or 'reached'."""
+    """Start states of all rows together: 'ik', 'reached' or 'mixed'."""
     outcomes: str = ""
     """Trial by trial a letter of `OUTCOMES`, in the order in which the seed draws the starts; empty
     where it was not kept."""
@@ -80,6 +80,9 @@ class ResultRow:
     """Mean force per finger that a policy which knows a budget was allowed [N]."""
     robot_errors: RobotErrors = field(default_factory=RobotErrors)
     """How the robot differed from its model."""
+    reached_share: float | None = None
+    """Share of this row's trials that began where the reaching controller came to, the others at
+    postures of inverse kinematics; None in older files [-]."""
 
     def __post_init__(self) -> None:
         counts = {n: getattr(self, n) for n in OUTCOMES}
@@ -98,8 +101,11 @@ class ResultRow:
         for name in ("forces_n", "starts"):
             if len(getattr(self, name)) not in (0, self.episodes):
                 raise InputError(name, len(getattr(self, name)), f"one per trial, {self.episodes}")
-        if self.handoffs not in HANDOFFS:
-            raise InputError("handoffs", self.handoffs, f"one of {', '.join(HANDOFFS)}")
+        if self.handoffs not in KINDS:
+            raise InputError("handoffs", self.handoffs, f"one of {', '.join(KINDS)}")
+        if not 0 <= (self.reached_share or 0.0) <= {"ik": 0.0}.get(self.handoffs, 1.0):
+            found = f"{self.reached_share} of {self.handoffs} states"
+            raise InputError("reached_share", found, "a share, 0 of ik states")
         for name in ("force_mean_n", "force_peak_n", "squeeze_force_n"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0):

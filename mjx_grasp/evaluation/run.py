@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
@@ -22,7 +23,7 @@ from mjx_grasp.evaluation.trials import (
     run_trials,
     zero_controller,
 )
-from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.handoff.dataset import HandoffSet, kind_of
 from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy
@@ -54,7 +55,7 @@ def evaluate(
     names: Sequence[str],
     config: EvaluateConfig,
     policy: Policy | None,
-    handoff_kind: str,
+    reached: Bool[np.ndarray, " n"],
     console: Console,
     task: TaskConfig | None = None,
 ) -> tuple[list[ResultRow], dict[str, Trials]]:
@@ -65,7 +66,7 @@ def evaluate(
         names: Objects, all of them with start states.
         config: Controller, engine and condition.
         policy: The policy, for the controller `policy`.
-        handoff_kind: `ik` or `reached`, for the rows.
+        reached: Which of the world's start states are ends of reaches, for the rows.
         console: Where the progress bar and warnings go.
         task: Whose lift and times squeeze and grip have; by default the closing task's. A policy is
             always in the task it was trained in.
@@ -81,7 +82,7 @@ def evaluate(
             index = world.scene.object_index(name)
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
             trials[name] = run_trials(run, controller, draw, worlds)
-            rows.append(summarise(name, trials[name], config, handoff_kind, task))
+            rows.append(summarise(name, trials[name], config, reached, task))
             _warn(name, trials[name], console)
             bar.update(job, advance=1)
     return rows, trials
@@ -105,7 +106,11 @@ def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
 
 
 def summarise(
-    name: str, trials: Trials, config: EvaluateConfig, handoff_kind: str, task: TaskConfig
+    name: str,
+    trials: Trials,
+    config: EvaluateConfig,
+    reached: Bool[np.ndarray, " n"],
+    task: TaskConfig,
 ) -> ResultRow:
     """One row of a results file."""
     n, successes = len(trials.success), int(trials.success.sum())
@@ -132,7 +137,7 @@ def summarise(
         offset_mm=config.offset_mm,
         angle_deg=config.angle_deg,
         friction=config.friction,
-        handoffs=handoff_kind,
+        handoffs=kind_of(reached),
         outcomes="".join(letters),
         force_held_n=float(held.mean()) if len(held) else None,
         force_peak_p50_n=float(np.median(peaks)) if lifted.any() else None,
@@ -147,6 +152,7 @@ def summarise(
         mass_scale=config.mass_scale,
         force_budget_n=config.force_budget if knows_budget else None,
         robot_errors=config.robot_errors,
+        reached_share=float(reached[trials.row].mean()),
     )
 
 

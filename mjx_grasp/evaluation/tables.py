@@ -20,7 +20,7 @@ from mjx_grasp.tasks.config import RobotErrors
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _MESHES = {True: "real scans", False: "parametric stand-ins"}
-_HANDOFFS = {"ik": "IK handoffs", "reached": "reached handoffs"}
+_HANDOFFS = {"ik": "IK handoffs", "reached": "reached handoffs", "mixed": "mixed handoffs"}
 
 
 class Condition(NamedTuple):
@@ -268,6 +268,7 @@ def _without_outcome(row: ResultRow) -> ResultRow:
         row, object="", episodes=1, successes=1, never_lifted=0, not_held=0, slipped=0,
         ci95=(0.0, 100.0), force_mean_n=None, force_peak_n=None, outcomes="",
         force_held_n=None, force_peak_p50_n=None, force_peak_p99_n=None, forces_n=(), starts=(),
+        reached_share=None,
     )  # fmt: skip
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.config import ObjectsConfig
@@ -90,6 +91,20 @@ class HandoffConfig(ObjectsConfig):
     """name or description file of the robot"""
     per_object: Count = 128
     """pre-grasps wanted of each object [-]"""
+    kind: Literal["ik", "reached", "mixed"] = "ik"
+    """what states are: ik, postures in front of drawn candidates; reached, where the reaching
+    controller really comes to with the candidate that it selects, from home and without physics;
+    or a mixture of both"""
+    reached_share: Annotated[float, Range(0, 1)] = 0.5
+    """of each object's states in a mixture [-]"""
+    gate: Literal["default", "paper", "converged"] = "default"
+    """when a reach hands off: default, the controller's own; paper, as soon as the midpoint of the
+    tips is near; converged, when every tip is within 20 mm and slow"""
+    gate_midpoint: Positive | None = None
+    """midpoint error below which the gate opens, instead of its own [m]"""
+    fix_idle_fingers: bool = True
+    """whether fingers that take no part in a grasp stay at zero while the others reach, which
+    trainings that fix them need; else they make way, as on the robot"""
     max_rounds: Count = 20
     """rounds of sampling before an object is left with what it has [-]"""
     max_per_candidate: Count = 4
@@ -100,3 +115,19 @@ class HandoffConfig(ObjectsConfig):
     targets: TargetConfig = field(default_factory=TargetConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.kind == "ik" and (self.gate != "default" or self.gate_midpoint is not None):
+            name = "gate" if self.gate != "default" else "gate_midpoint"
+            expected = "with --kind reached or mixed alone: inverse kinematics has no gate"
+            raise InputError(self.name_of(name), getattr(self, name), expected)
+        if self.kind == "mixed" and 0 in self.shares(self.per_object):
+            expected = f"a share of {self.per_object} states per object with one of each kind"
+            raise InputError(self.name_of("reached_share"), self.reached_share, expected)
+
+    def shares(self, states: int) -> tuple[int, int]:
+        """How many of an object's states are of inverse kinematics, and how many reached."""
+        share = {"ik": 0.0, "reached": 1.0, "mixed": self.reached_share}[self.kind]
+        reached = round(share * states)
+        return states - reached, reached

@@ -16,7 +16,14 @@ from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.records.archive import ArchiveKind, Arrays, checked, read_archive, write_archive
+from mjx_grasp.records.archive import (
+    ArchiveKind,
+    Arrays,
+    Header,
+    checked,
+    read_archive,
+    write_archive,
+)
 from mjx_grasp.records.settings import Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
 from mjx_grasp.robot.spec import RobotSpec
@@ -30,8 +37,14 @@ _ARRAYS = {
     "target_normal": "float32 n 3 3",
     "score": "float32 n",
     "residual": "float32 n 3",
+    "midpoint": "float32 n",
+    "reached": "bool n",
 }
-_NAMES = ("object_names", "object_content_hash", "kind", "robot")
+_NAMES = ("object_names", "object_content_hash", "robot")
+KINDS = ("ik", "reached", "mixed")
+"""Of a set: postures of inverse kinematics, ends of the reaching controller, or both."""
+UNKNOWN_M = -1.0
+"""The midpoint's error in sets that do not say it, those before version 3."""
 _ROUNDING = 1e-3
 """By how much unit vectors and scores may be off."""
 _HIGHEST_M, _FARTHEST_M = 2.0, 1.0
@@ -65,16 +78,23 @@ class HandoffSet:
     """Of the heatmap candidate."""
     residual: Float[np.ndarray, "n 3"]
     """Distance of the tip frames from the standoff targets [m]."""
+    midpoint: Float[np.ndarray, " n"]
+    """The same of their midpoint, ½ thumb + ¼ index + ¼ middle; `UNKNOWN_M` in old files [m]."""
+    reached: Bool[np.ndarray, " n"]
+    """Whether it is the end of the reaching controller; else inverse kinematics found it."""
     object_names: tuple[str, ...]
     object_content_hash: tuple[str, ...]
     """Of the objects as they were when the states were made."""
-    kind: str
-    """'ik', or 'reached': the end of the reaching controller."""
     robot: RobotIdentity = FIRST_ROBOT
     """Whose joints these are."""
 
     def __len__(self) -> int:
         return len(self.object_index)
+
+    @property
+    def kind(self) -> str:
+        """What states there are, one of `KINDS`; 'ik' where there are none."""
+        return kind_of(self.reached)
 
     def take(self, which: Int[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> HandoffSet:
         """The states of these indices, or where a mask is true; names stay."""
@@ -106,11 +126,11 @@ class HandoffSet:
         return dict(zip(self.object_names, counts.tolist(), strict=True))
 
     def split(self, eval_share: float = 0.25, seed: int = 0) -> tuple[HandoffSet, HandoffSet]:
-        """Splits every object's states at random into training and evaluation.
+        """Splits every object's states of each kind at random into training and evaluation.
 
         Args:
-            eval_share: Share of each object's states that goes to the second set, rounded; an
-                object with several states keeps at least one on either side.
+            eval_share: Share of each object's states of one kind that goes to the second set,
+                rounded; with several there is at least one on either side.
             seed: Of the split.
 
         Raises:
@@ -120,24 +140,32 @@ class HandoffSet:
             raise InputError("eval_share", eval_share, "a number between 0 and 1")
         held = np.zeros(len(self), dtype=bool)
         for index, name in enumerate(self.object_names):
-            rows = np.flatnonzero(self.object_index == index)
-            count = round(eval_share * len(rows))
-            if len(rows) > 1:
-                count = min(max(count, 1), len(rows) - 1)
             # By name: an object is split alike whatever the other objects of the set are.
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            held[rng.permutation(rows)[:count]] = True
+            for kind in (False, True):
+                rows = np.flatnonzero((self.object_index == index) & (self.reached == kind))
+                count = round(eval_share * len(rows))
+                if len(rows) > 1:
+                    count = min(max(count, 1), len(rows) - 1)
+                held[rng.permutation(rows)[:count]] = True
         return self.take(~held), self.take(held)
 
     def save(self, path: str | Path) -> None:
         """Writes the set as an archive, all or nothing.
 
         Raises:
-            InputError: A name or the kind is impossible.
+            InputError: A name is impossible.
             FileError: Arrays do not fit each other, or hold no such states.
         """
-        header = _Header(*(getattr(self, name) for name in _NAMES))
+        header = _Header(**{name: getattr(self, name) for name in (*_NAMES, "kind")})
         write_archive(path, _KIND, header, {name: getattr(self, name) for name in _ARRAYS})
+
+
+def kind_of(reached: Bool[np.ndarray, " n"]) -> str:
+    """What states are together, one of `KINDS`."""
+    if not reached.any():
+        return "ik"
+    return "reached" if reached.all() else "mixed"
 
 
 def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
@@ -146,10 +174,10 @@ def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
     The digest of the robot is known only if that of every set is.
 
     Raises:
-        InputError: No sets, different kinds or robots, or an object that differs between them.
+        InputError: No sets, different robots, or an object that differs between them.
     """
-    if not sets or len({s.kind for s in sets}) != 1:
-        raise InputError("sets", [s.kind for s in sets], "one or more sets of the same kind")
+    if not sets:
+        raise InputError("sets", "none", "one or more sets")
     robots = sorted({s.robot for s in sets}, key=lambda robot: robot.digest or "")
     if not all(a.agrees(b) for a in robots for b in robots):
         raise InputError("sets", [str(robot) for robot in robots], "states of one robot")
@@ -167,7 +195,6 @@ def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
         **arrays,
         object_names=names,
         object_content_hash=tuple(hashes.values()),
-        kind=sets[0].kind,
         robot=robots[0],
     )
 
@@ -190,7 +217,7 @@ def load_handoffs(
             made for other objects or another robot.
     """
     header, arrays = read_archive(path, _KIND)
-    handoffs = HandoffSet(**arrays, **vars(header))
+    handoffs = HandoffSet(**arrays, **{name: getattr(header, name) for name in _NAMES})
     known = dict(zip(handoffs.object_names, handoffs.object_content_hash, strict=True))
     for obj in objects or ():
         if known.get(obj.name, obj.content_hash) != obj.content_hash:
@@ -227,9 +254,18 @@ def check_handoffs(path: str | Path, handoffs: HandoffSet, robot: RobotSpec) -> 
 class _Header(Settings):
     object_names: tuple[str, ...]
     object_content_hash: tuple[str, ...]
-    kind: Literal["ik", "reached"]
     robot: RobotIdentity = FIRST_ROBOT
     """Absent in version 1."""
+    kind: Literal["ik", "reached", "mixed"] = "ik"
+    """Of all states together; for whoever reads the header alone."""
+
+
+def _before_kinds(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """Of versions 1 and 2, whose states are all of one kind."""
+    header, arrays = checked(header, arrays)
+    n = len(arrays["residual"])
+    reached = np.full(n, header["kind"] == "reached")
+    return header, {**arrays, "midpoint": np.full(n, UNKNOWN_M, np.float32), "reached": reached}
 
 
 def _check(path: Path, header: _Header, arrays: Arrays) -> None:
@@ -239,6 +275,10 @@ def _check(path: Path, header: _Header, arrays: Arrays) -> None:
         raise FileError(path, f"{len(names)} object names", "different names with a hash each")
     if len(index) and (index.min() < 0 or index.max() >= len(names)):
         raise FileError(path, f"object index up to {index.max()}", f"below {len(names)}")
+    # An empty set is of whatever kind it says.
+    if len(index) and header.kind != (kind := kind_of(arrays["reached"])):
+        raise FileError(path, f"the kind {header.kind} of states that are {kind}", "their own kind")
+    midpoint = arrays["midpoint"]
     height = arrays["object_pos"][:, 2]
     away = np.linalg.norm(arrays["target_pos"] - arrays["object_pos"][:, None], axis=-1)
     for name, wrong, expected in (
@@ -248,6 +288,7 @@ def _check(path: Path, header: _Header, arrays: Arrays) -> None:
         ("target_pos", away > _FARTHEST_M, f"targets within {_FARTHEST_M:g} m of the object"),
         ("score", np.abs(arrays["score"] - 0.5) > 0.5 + _ROUNDING, "scores from 0 to 1"),
         ("residual", arrays["residual"] < 0, "distances, 0 m or more"),
+        ("midpoint", (midpoint < 0) & (midpoint != UNKNOWN_M), "distances, 0 m or more"),
     ):
         for place in np.argwhere(wrong)[:1]:
             shown = np.array2string(arrays[name][tuple(place)], precision=4)
@@ -260,9 +301,9 @@ def _no_unit(vectors: Float[np.ndarray, "*b d"]) -> Bool[np.ndarray, "*b"]:
 
 _KIND = ArchiveKind(
     format="mjx_grasp handoff set",
-    version=2,
+    version=3,
     header=_Header,
     arrays=_ARRAYS,
     check=_check,
-    older={1: checked},
+    older={1: _before_kinds, 2: _before_kinds},
 )

@@ -24,7 +24,13 @@ from mjx_grasp.handoff.attempts import Attempts, Pairs, attempt_all
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import OUTCOMES, ObjectReport
-from mjx_grasp.handoff.sampling import draw_candidates, poses_at_rest, sample_object_poses
+from mjx_grasp.handoff.rows import Row, as_set
+from mjx_grasp.handoff.sampling import (
+    draw_candidates,
+    poses_at_rest,
+    rotation_matrix,
+    sample_object_poses,
+)
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
@@ -41,7 +47,7 @@ class _Accepted:
 
     pose: int
     candidate: int
-    row: dict[str, np.ndarray]
+    row: Row
 
 
 class _Task(NamedTuple):
@@ -111,9 +117,10 @@ class HandoffGenerator:
                 progress(len(chosen))
                 if len(chosen) == config.per_object:
                     break
-        report.kept = len(chosen)
-        report.seconds = time.perf_counter() - started
-        return self._as_set(obj, chosen), report
+        rows = [state.row for state in chosen]
+        made = as_set(self._body, config.targets, obj, rows, reached=False)
+        report.keep(made, time.perf_counter() - started)
+        return made, report
 
     def _round(
         self, task: _Task, report: ObjectReport, rng: np.random.Generator
@@ -124,7 +131,7 @@ class HandoffGenerator:
         pos, quat = sample_object_poses(resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
         pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
-        turns = np.array([_matrix(q) for q in quat], np.float32)
+        turns = np.array([rotation_matrix(q) for q in quat], np.float32)
         high = np.asarray(_admissible(candidates, task.options, pos, turns, self._config.targets))
         score, thumb = np.asarray(candidates.score), np.asarray(candidates.thumb)
         pairs: list[tuple[int, int]] = []
@@ -211,30 +218,6 @@ class HandoffGenerator:
                 chosen.append(state)
         return chosen[: self._config.per_object]
 
-    def _as_set(self, obj: ObjectModel, chosen: list[_Accepted]) -> HandoffSet:
-        joints = len(self._robot.joints)
-        empty = {
-            "object_pos": (3,),
-            "object_quat": (4,),
-            "q": (joints,),
-            "target_pos": (3, 3),
-            "target_normal": (3, 3),
-            "score": (),
-            "residual": (3,),
-        }
-        arrays = {
-            name: np.array([state.row[name] for state in chosen], np.float32).reshape(-1, *tail)
-            for name, tail in empty.items()
-        }
-        return HandoffSet(
-            object_index=np.zeros(len(chosen), np.int32),
-            **arrays,
-            object_names=(obj.name,),
-            object_content_hash=(obj.content_hash,),
-            kind="ik",
-            robot=self._robot.identity,
-        )
-
 
 @partial(jax.jit, static_argnames="config")
 def _admissible(
@@ -250,17 +233,6 @@ def _admissible(
         return admissible(candidates, options, *pose, config).reshape(-1, WAYS)
 
     return jax.lax.map(at, (p_wo, R_wo))
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    w, x, y, z = quat.astype(np.float64)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _reason(

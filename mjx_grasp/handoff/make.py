@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 from rich.console import Console
 from rich.progress import TaskID
 
@@ -10,13 +15,21 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
+from mjx_grasp.handoff.reached import ReachedGenerator
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
-from mjx_grasp.objects.model import load_objects, stand_in_hash
+from mjx_grasp.objects.model import ObjectModel, load_objects, stand_in_hash
 from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.spec import RobotSpec, load_robot
+
+_IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None}
+"""What a search for postures knows nothing of."""
+
+
+Maker = Callable[[ObjectModel, Callable[[int], None]], tuple[HandoffSet, ObjectReport]]
+"""Makes an object's states of one kind; the function given is told how many there are."""
 
 
 def make_handoffs(
@@ -48,7 +61,7 @@ def make_handoffs(
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
     objects = load_objects(config.objects, config.objects_dir, weight=config.weight)
-    generator = HandoffGenerator(robot, config)
+    makers = _makers(robot, config)
     with counting_progress(console) as progress:
         everything = progress.add_task("all objects", total=len(names) * config.per_object)
         for done, obj in enumerate(objects):
@@ -58,11 +71,11 @@ def make_handoffs(
                 progress.update(task, completed=kept)
                 progress.update(everything, completed=done * config.per_object + kept)
 
-            handoffs, report = generator.generate(obj, show)
+            states, said = _of_each_kind(obj, makers, config, show)
             progress.update(task, visible=False)
             progress.update(everything, completed=(done + 1) * config.per_object)
-            sets.append(handoffs)
-            reports.append(report)
+            sets += states
+            reports += said
     merged = merge(sets)
     if len(merged) == 0:
         raise InputError(
@@ -76,6 +89,59 @@ def make_handoffs(
     path = config.out.with_suffix(".json")
     write_report(path, reports, made, settings, earlier)
     return merged, reports
+
+
+def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:
+    """Those of the kinds that are wanted, ik before reached."""
+    ik, reached = config.shares(config.per_object)
+    makers: list[Maker] = []
+    if ik:
+        alone = replace(config, **_IK_ALONE, per_object=ik)
+        makers.append(HandoffGenerator(robot, alone).generate)
+    if reached:
+        alone = replace(config, kind="reached", per_object=reached)
+        makers.append(ReachedGenerator(robot, alone).generate)
+    return makers
+
+
+def _of_each_kind(
+    obj: ObjectModel, makers: Sequence[Maker], config: HandoffConfig, show: Callable[[int], None]
+) -> tuple[list[HandoffSet], list[ObjectReport]]:
+    """An object's states and reports, one of each maker."""
+    sets: list[HandoffSet] = []
+    reports: list[ObjectReport] = []
+    for maker in makers:
+
+        def together(kept: int, before: int = sum(map(len, sets))) -> None:
+            show(before + kept)
+
+        states, report = maker(obj, together)
+        sets.append(states)
+        reports.append(report)
+    sets = mixture(sets, config)
+    for states, report in zip(sets, reports, strict=True):
+        report.keep(states, report.seconds)
+    return sets, reports
+
+
+def mixture(parts: Sequence[HandoffSet], config: HandoffConfig) -> list[HandoffSet]:
+    """An object's states of each kind, as many as the share of the mixture lets it keep.
+
+    Where one kind has fewer states than it should, the other gives up some of its own: the share
+    holds for every object, if need be with none at all.
+
+    Args:
+        parts: One set per kind, ik before reached.
+        config: How many, and the share.
+    """
+    if config.kind != "mixed":
+        return list(parts)
+    most = next(
+        n
+        for n in range(config.per_object, -1, -1)
+        if n == 0 or all(0 < k <= len(p) for k, p in zip(config.shares(n), parts, strict=True))
+    )
+    return [p.take(np.arange(k)) for p, k in zip(parts, config.shares(most), strict=True)]
 
 
 def _warn_of_mixed_shapes(kept: HandoffSet, config: HandoffConfig, console: Console | None) -> None:

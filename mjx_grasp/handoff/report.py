@@ -8,23 +8,35 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.box import SIMPLE
 from rich.table import Table
 
 from mjx_grasp.errors import FileError
+from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.sim.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
-OUTCOMES = ("unreachable", "limits", "reach-axis", "lift", "touch", *reversed(REASONS))
+OUTCOMES = (
+    *("no-candidate", "not-reached", "unreachable", "limits", "reach-axis", "lift", "touch"),
+    *reversed(REASONS),
+)
+
+
+TIPS = ("thumb", "index", "middle", "midpoint")
+"""Whose errors a report says."""
 
 
 @dataclass
 class ObjectReport:
     """What became of an object's candidates, counted per (object pose, candidate).
 
+    Of a reached handoff the pair is that of the pose and what the selection took there.
+
     Attributes:
         name: The object.
+        kind: 'ik' or 'reached'.
         eligible_candidates: Heatmap vertices with a sufficient score.
         poses: Object poses drawn.
         poses_without_candidate: Of those, without a candidate high enough above the table.
@@ -34,9 +46,13 @@ class ObjectReport:
         feasible: Pairs with a state that is accepted.
         kept: States in the set.
         seconds: Time taken.
+        reach_seconds: Time that each reach took whose end was accepted [s].
+        tip_error_mm: Of the states kept, by tip and of the three tips together: mean, spread and
+            median distance to the standoff targets.
     """
 
     name: str
+    kind: str = "ik"
     eligible_candidates: int = 0
     poses: int = 0
     poses_without_candidate: int = 0
@@ -46,6 +62,18 @@ class ObjectReport:
     feasible: int = 0
     kept: int = 0
     seconds: float = 0.0
+    reach_seconds: list[float] = field(default_factory=list)
+    tip_error_mm: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def keep(self, states: HandoffSet, seconds: float) -> None:
+        """Says what is kept, and how near its tips are.
+
+        Args:
+            states: Those of the set, of this object and kind.
+            seconds: Time taken.
+        """
+        self.kept, self.seconds = len(states), seconds
+        self.tip_error_mm = tip_errors(states)
 
     @property
     def eligible(self) -> bool:
@@ -57,16 +85,49 @@ class ObjectReport:
         """Share of the pairs of pose and candidate that have an accepted state."""
         return self.feasible / self.sampled if self.sampled else 0.0
 
+    def _percentiles(self) -> dict[str, float] | None:
+        """Of the times of reaching; None without any."""
+        times = self.reach_seconds
+        return (
+            {f"{p}": round(float(np.percentile(times, p)), 2) for p in (50, 95)} if times else None
+        )
+
     def as_row(self) -> dict[str, Any]:
         """The report as JSON types, with every reason counted."""
         rejected = {reason: self.rejected[reason] for reason in OUTCOMES}
-        derived = {"eligible": self.eligible, "feasible_share": round(self.feasible_share, 4)}
-        return asdict(self) | {"rejected": rejected, "seconds": round(self.seconds, 2)} | derived
+        derived = {
+            "rejected": rejected,
+            "seconds": round(self.seconds, 2),
+            "reach_seconds": self._percentiles(),
+            "eligible": self.eligible,
+            "feasible_share": round(self.feasible_share, 4),
+        }
+        return asdict(self) | derived
+
+
+def tip_errors(states: HandoffSet) -> dict[str, dict[str, float]]:
+    """Distances of tips to their standoff targets: mean, spread and median [mm].
+
+    Args:
+        states: Those that count; without any there is nothing to say.
+    """
+    if not len(states):
+        return {}
+    tips = dict(zip(TIPS, (*states.residual.T, states.midpoint), strict=True))
+    found = {"tips": states.residual.mean(axis=1), **tips}
+    return {
+        name: {
+            "mean": round(1e3 * float(values.mean()), 3),
+            "std": round(1e3 * float(values.std()), 3),
+            "median": round(1e3 * float(np.median(values)), 3),
+        }
+        for name, values in found.items()
+    }
 
 
 # The table joins reasons that are alike; the JSON keeps them apart.
 _COLUMNS = {
-    "no IK": ("unreachable", "limits"),
+    "no way": ("unreachable", "limits", "no-candidate", "not-reached"),
     "axis": ("reach-axis",),
     "lift": ("lift",),
     "touch": ("touch",),
@@ -76,23 +137,28 @@ _COLUMNS = {
     "object": ("hand-object",),
 }
 _CAPTION = (
-    "tried, and refused for: no inverse kinematics; an axis that the selection would not take; an "
-    "arm that cannot lift straight up from there; a finger that cannot touch its contact; a "
-    "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
-    "are the others, kept as many as were asked for, few of each candidate."
+    "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis that "
+    "the selection would not take; an arm that cannot lift straight up from there; a finger that "
+    "cannot touch its contact; a collision of the robot with itself, of the arm, of the hand with "
+    "table or object. Feasible are the others, kept as many as were asked for, few of each drawn "
+    "candidate."
 )
 
 
 def report_table(reports: Sequence[ObjectReport]) -> Table:
     """The per-object table that the command prints."""
-    table = Table(title="Pre-grasps: pairs of object pose and candidate", box=SIMPLE, padding=0)
+    table = Table(title="Start states: pairs of object pose and candidate", box=SIMPLE, padding=0)
     table.caption, table.caption_justify = _CAPTION, "left"
     table.add_column("object", no_wrap=True)
+    kinds = {r.kind for r in reports} - {"ik"}
+    if kinds:
+        table.add_column("kind")
     for column in ("tried", *_COLUMNS, "feasible", "kept", "s"):
         table.add_column(column, justify="right")
     for r in reports:
         table.add_row(
             r.name,
+            *([r.kind] if kinds else []),
             str(r.sampled),
             *(str(sum(r.rejected[reason] for reason in group)) for group in _COLUMNS.values()),
             f"{100 * r.feasible_share:.0f} %",
@@ -129,7 +195,7 @@ def write_report(
 
     Args:
         path: File to write.
-        reports: One per object.
+        reports: One per object and kind.
         provenance: From `mjx_grasp.records.provenance.provenance`.
         config: The full configuration as JSON types.
         earlier: The report of the set that was updated; its rows of other objects stay.
@@ -141,5 +207,6 @@ def write_report(
         rows = [row for row in earlier["objects"] if row["name"] not in made] + rows
         document["earlier"] = [*earlier["earlier"], earlier["provenance"]]
     document["objects"] = rows
-    document["not_eligible"] = [row["name"] for row in rows if not row["eligible"]]
+    have = {row["name"] for row in rows if row["eligible"]}
+    document["not_eligible"] = list(dict.fromkeys(r["name"] for r in rows if r["name"] not in have))
     write_json(path, document)

@@ -60,6 +60,18 @@ def sample_object_poses(
     return position, quat / np.linalg.norm(quat, axis=1, keepdims=True)
 
 
+def rotation_matrix(quat: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
+    """Of a quaternion w-x-y-z, in double precision."""
+    w, x, y, z = quat.astype(np.float64)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 def draw_candidates(
     score: Float[np.ndarray, " v"],
     area: Float[np.ndarray, " v"],

@@ -149,6 +149,8 @@ class HandoffGate(Settings):
     """midpoint error below which it is [m]"""
     tips: PositiveOrNever = float("inf")
     """largest tip error with which it is; the paper looks at the midpoint alone [m]"""
+    tip_speed: PositiveOrNever = float("inf")
+    """speed of the fastest tip with which it is [m/s]"""
     late: PositiveOrNever = 3.0
     """fine-adjustment timer from which the following is enough [s]"""
     late_tips: NonNegative = 0.050

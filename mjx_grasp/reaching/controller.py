@@ -321,7 +321,8 @@ class Reacher:
         progress = _Progress(
             error=error,
             to_go=jnp.where(guide.known & (guide.astray < 0.5), to_go, jnp.inf),
-            ready=targets.valid & is_ready(config.gate, timer, error, report.midpoint),
+            ready=targets.valid
+            & is_ready(config.gate, timer, error, report.midpoint, jnp.max(report.speed)),
             timer=timer,
             waits=moves | passes,
         )
@@ -410,6 +411,7 @@ def is_ready(
     timer: Float[Array, ""],
     error: Float[Array, ""],
     midpoint: Float[Array, ""],
+    speed: Float[Array, ""],
 ) -> Bool[Array, ""]:
     """Whether the hand is near enough for the closing policy.
 
@@ -418,8 +420,9 @@ def is_ready(
         timer: The fine-adjustment timer, [s].
         error: Largest tip error, [m].
         midpoint: Error of the midpoint, [m].
+        speed: Of the fastest tip, [m/s].
     """
-    arrived = (midpoint < gate.midpoint) & (error <= gate.tips)
+    arrived = (midpoint < gate.midpoint) & (error <= gate.tips) & (speed <= gate.tip_speed)
     return arrived | ((timer >= gate.late) & (error <= gate.late_tips))
 
 

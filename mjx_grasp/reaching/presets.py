@@ -69,6 +69,22 @@ something, which bounds of the nearest points alone do not rule out; ``default``
 progress stalls, handoff when every tip is near."""
 
 
+GATES = {
+    "default": PRESETS["default"].reach.controller.gate,
+    "paper": PRESETS["paper"].reach.controller.gate,
+    "converged": HandoffGate(midpoint=0.020, tips=0.020, tip_speed=0.025),
+}
+"""By name: ``default``; ``paper``: the midpoint alone, as soon as it is near; ``converged``: every
+tip within the publication's 20 mm and slower than its 0.025 m/s. All are content with 50 mm after
+3 s of fine adjustment (method §3, 'Handoff')."""
+
+
+def with_gate(settings: ReachPreset, gate: HandoffGate) -> ReachPreset:
+    """A preset that hands off by another gate."""
+    controller = replace(settings.reach.controller, gate=gate)
+    return replace(settings, reach=replace(settings.reach, controller=controller))
+
+
 def reach_preset(name: str) -> ReachPreset:
     """Settings by name.
 

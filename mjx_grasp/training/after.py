@@ -58,7 +58,7 @@ def evaluate_run(
     own = [(replace(base, force_budget=budget), policy) for budget in budgets]
     for chosen, controller in (*own, *((other, None) for other in others)):
         new, trials = evaluate(
-            held_out, states.object_names, chosen, controller, states.kind, console, task
+            held_out, states.object_names, chosen, controller, states.reached, console, task
         )
         rows += new
         runs += trials.values()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -63,7 +64,7 @@ def run_training(
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
     config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
-    _open_run(config, folder)
+    _open_run(config, folder, stored)
     try:
         if stored is None or world is None:
             try:
@@ -172,11 +173,15 @@ def _run_folder(config: TrainConfig) -> Path:
     return folder
 
 
-def _open_run(config: TrainConfig, folder: Path) -> None:
+def _open_run(config: TrainConfig, folder: Path, stored: HandoffSet | None) -> None:
     """Writes the configuration and the provenance of a new run to its folder."""
     if config.resume is not None:
         return
-    made_of = {"sha256": file_digests(handoffs=config.handoffs)}
+    made_of: dict[str, Any] = {"sha256": file_digests(handoffs=config.handoffs)}
+    # Those that the run makes for itself are of the first kind.
+    reached = 0.0 if stored is None or not len(stored) else float(stored.reached.mean())
+    kind = "ik" if stored is None else stored.kind
+    made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
     contents = (to_record(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         write_json(folder / name, content)

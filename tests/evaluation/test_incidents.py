@@ -31,7 +31,7 @@ def said(scene, starts, monkeypatch):
         console = Console(file=io.StringIO(), width=200)
         world = World(scene, starts)
         task = TaskConfig(episode_s=0.1)
-        rows, trials = evaluate(world, ["box"], config, None, "ik", console, task)
+        rows, trials = evaluate(world, ["box"], config, None, np.zeros(9, bool), console, task)
         assert [row.object for row in rows] == ["box"]
         return trials["box"], console.file.getvalue()
 
@@ -79,7 +79,11 @@ def test_a_row_tells_trial_by_trial_what_came_of_it():
         not_held=np.array([0, 0, 0, 0, 1], bool),
     )
     row = module.summarise(
-        "box", trials, EvaluateConfig(out=Path("r.json"), episodes=5), "ik", TaskConfig()
+        "box",
+        trials,
+        EvaluateConfig(out=Path("r.json"), episodes=5),
+        np.zeros(9, bool),
+        TaskConfig(),
     )
     assert row.outcomes == "SPLSH"
     assert (row.successes, row.never_lifted, row.slipped, row.not_held) == (2, 1, 1, 1)

@@ -53,6 +53,7 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
         "angle_deg", "friction", "handoffs", "outcomes", "force_held_n", "force_peak_p50_n",
         "force_peak_p99_n", "forces_n", "starts", "squeeze_split", "grip_force_n",
         "grip_friction", "mass_scale", "force_budget_n", "robot_errors",
+        "reached_share",
     }  # fmt: skip
 
 
@@ -84,6 +85,16 @@ def test_rows_from_before_outcomes_were_kept_are_read(tmp_path):
     assert read_results(path).rows[0].outcomes == "SSLSSLSHPS"
 
 
+def test_a_row_says_how_many_of_its_trials_began_from_reached_states(tmp_path):
+    path, mixed = tmp_path / "r.json", row(handoffs="mixed", reached_share=0.25)
+    write_results(path, [mixed], PROVENANCE, FIRST_ROBOT)
+    assert read_results(path).rows == (mixed,)
+    document = json.loads(path.read_text())
+    del document["rows"][0]["reached_share"]
+    path.write_text(json.dumps(document))
+    assert read_results(path).rows[0].reached_share is None
+
+
 def test_throughput_rows_have_a_schema_of_their_own(tmp_path):
     path = tmp_path / "throughput.json"
     speeds = (ThroughputRow("ppo", "mjx", 1024, 24, 1.2e5, None),)
@@ -102,6 +113,8 @@ def test_throughput_rows_have_a_schema_of_their_own(tmp_path):
         ("ci95", (70.0, 90.0)),
         ("ci95", (10.0, 101.0)),
         ("handoffs", "home"),
+        ("reached_share", 0.5),
+        ("reached_share", -0.1),
         ("outcomes", "SSSSSSLLHH"),
         ("outcomes", "SSSSSSLLHPX"),
         ("force_mean_n", -1.0),

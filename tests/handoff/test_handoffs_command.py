@@ -1,6 +1,7 @@
 """What the command says and writes, with made-up states in place of the search for them."""
 
 import dataclasses
+import json
 import sys
 
 import handmade
@@ -74,3 +75,112 @@ def test_a_set_that_git_knows_does_not_make_its_own_revision_dirty(run, tmp_path
     monkeypatch.setattr(module, "provenance", provenance)
     run("--objects", "foam_brick", "--out", out)
     assert out.exists()
+
+
+@pytest.fixture
+def mix(monkeypatch, capsys):
+    """Makes a set with so many states of inverse kinematics and reached ones to choose from."""
+
+    def with_arguments(*arguments, ik, reached):
+        def maker(kind, most):
+            class Generator:
+                def __init__(self, robot, config):
+                    self.wanted = config.per_object
+
+                def generate(self, obj, progress):
+                    count = min(self.wanted, most)
+                    made = handmade.handoffs([obj], turns=(0.0,) * max(count, 1))
+                    made = made.take(np.arange(count))
+                    made = dataclasses.replace(made, reached=np.full(count, kind == "reached"))
+                    report = ObjectReport(obj.name, kind)
+                    report.keep(made, 1.0)
+                    return made, report
+
+            return Generator
+
+        monkeypatch.setattr(module, "HandoffGenerator", maker("ik", ik))
+        monkeypatch.setattr(module, "ReachedGenerator", maker("reached", reached))
+        monkeypatch.setattr(sys, "argv", ["handoffs", *map(str, arguments)])
+        command.main()
+        return " ".join(capsys.readouterr().out.split())
+
+    return with_arguments
+
+
+@pytest.mark.parametrize(
+    ("share", "ik", "reached", "kept"),
+    [
+        (0.5, 9, 9, (4, 4)),
+        (0.25, 9, 9, (6, 2)),
+        (0.5, 3, 9, (3, 4)),
+        (0.5, 9, 1, (1, 1)),
+        (0.25, 3, 9, (3, 1)),
+    ],
+)
+def test_the_share_of_a_mixture_holds_for_every_object(mix, tmp_path, share, ik, reached, kept):
+    out = tmp_path / "set.npz"
+    said = mix(
+        *("--kind", "mixed", "--reached-share", share, "--per-object", 8, "--out", out),
+        *("--objects", "foam_brick", "sugar_box"),
+        ik=ik,
+        reached=reached,
+    )
+    found = load_handoffs(out)
+    assert found.kind == "mixed"
+    for name in found.object_names:
+        states = found.select([name])
+        assert (np.sum(~states.reached), np.sum(states.reached)) == kept
+        assert abs(kept[1] - share * sum(kept)) <= 0.5
+    assert f"{2 * sum(kept)} states of 2 objects, {2 * kept[1]} of them reached" in said
+    assert "Tip errors of reached start states" in said and "published" in said
+    report = json.loads(out.with_suffix(".json").read_text())
+    rows = [(row["name"], row["kind"], row["kept"]) for row in report["objects"]]
+    assert rows == [
+        (name, kind, count)
+        for name in ("foam_brick", "sugar_box")
+        for kind, count in zip(("ik", "reached"), kept, strict=True)
+    ]
+    assert report["config"]["kind"] == "mixed" and report["not_eligible"] == []
+
+
+def test_an_object_without_states_of_one_kind_has_none_in_a_mixture(mix, tmp_path):
+    with pytest.raises(InputError, match=r"--objects: found 'foam_brick'"):
+        mix(
+            *("--kind", "mixed", "--objects", "foam_brick", "--out", tmp_path / "x.npz"),
+            ik=9,
+            reached=0,
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["ik", "reached"])
+def test_one_kind_is_made_alone(mix, tmp_path, kind):
+    out = tmp_path / "set.npz"
+    said = mix(
+        *("--kind", kind, "--per-object", 5, "--objects", "foam_brick", "--out", out),
+        ik=9,
+        reached=9,
+    )
+    found = load_handoffs(out)
+    assert found.kind == kind and len(found) == 5
+    assert ("Tip errors" in said) == (kind == "reached")
+
+
+def test_an_update_may_be_of_another_kind(mix, tmp_path):
+    out = tmp_path / "set.npz"
+    mix("--objects", "foam_brick", "--per-object", 3, "--out", out, ik=9, reached=0)
+    mix(
+        *("--kind", "reached", "--objects", "sugar_box", "--per-object", 2),
+        *("--update", out, "--out", out),
+        ik=0,
+        reached=9,
+    )
+    found = load_handoffs(out)
+    assert found.kind == "mixed"
+    assert found.select(["foam_brick"]).kind == "ik"
+    assert found.select(["sugar_box"]).kind == "reached"
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert [(row["name"], row["kind"]) for row in report["objects"]] == [
+        ("foam_brick", "ik"),
+        ("sugar_box", "reached"),
+    ]

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import handmade
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -77,7 +78,7 @@ def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
     assert task.lift.delay_s == 0.0 and not task.grip.together
     config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
     with pytest.raises(Asked) as asked:
-        evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
+        evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
     assert asked.value.args == (replace(task, grip=replace(task.grip, force=4.0)), config.noise)
 
 
@@ -91,7 +92,7 @@ def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
     grip = EvaluateConfig(out, "grip", grip=replace(REACTING, friction=0.5))
     for config, expected in ((squeeze, plain), (grip, grip.grip)):
         with pytest.raises(Asked) as asked:
-            evaluate(Recorder(), ["apple"], config, None, "ik", Console(), task)
+            evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
         assert asked.value.args == (replace(task, grip=expected), config.noise)
 
 

@@ -87,15 +87,16 @@ def test_an_easy_reach_hands_off_near_its_targets_and_stops(reacher):
 
 
 def test_a_gate_opens_near_the_targets_and_later_farther_away():
-    gate = HandoffGate(midpoint=0.01, tips=0.02, late=3.0, late_tips=0.05)
-    for timer, error, midpoint, opens in (
-        (0.1, 0.019, 0.009, True),
-        (0.1, 0.021, 0.009, False),
-        (0.1, 0.019, 0.011, False),
-        (3.0, 0.049, 0.040, True),
-        (3.0, 0.051, 0.040, False),
+    gate = HandoffGate(midpoint=0.01, tips=0.02, tip_speed=0.03, late=3.0, late_tips=0.05)
+    for timer, error, midpoint, speed, opens in (
+        (0.1, 0.019, 0.009, 0.02, True),
+        (0.1, 0.021, 0.009, 0.02, False),
+        (0.1, 0.019, 0.011, 0.02, False),
+        (0.1, 0.019, 0.009, 0.04, False),
+        (3.0, 0.049, 0.040, 0.04, True),
+        (3.0, 0.051, 0.040, 0.02, False),
     ):
-        assert bool(is_ready(gate, *map(jnp.float32, (timer, error, midpoint)))) == opens
+        assert bool(is_ready(gate, *map(jnp.float32, (timer, error, midpoint, speed)))) == opens
 
 
 @pytest.mark.parametrize("ends", [True, False])

@@ -13,7 +13,7 @@ import pytest
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.trajectory import load_trajectory, save_trajectory
-from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.dataset import UNKNOWN_M, load_handoffs
 from mjx_grasp.heatmap.files import HeatmapInfo, load_heatmap, save_heatmap
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.robot.identity import FIRST_ROBOT
@@ -36,12 +36,15 @@ def test_a_policy():
     np.testing.assert_allclose(action, expected, atol=1e-4)
 
 
-def test_a_handoff_set(robot):
-    handoffs = load_handoffs(V1 / "handoffs.npz", robot=robot)
+@pytest.mark.parametrize("folder", [V1, V1.parent / "v2"], ids=lambda folder: folder.name)
+def test_a_handoff_set(robot, folder):
+    handoffs = load_handoffs(folder / "handoffs.npz", robot=robot)
     assert handoffs.robot == FIRST_ROBOT and handoffs.kind == "ik"
     assert handoffs.counts() == {"foam_brick": 3, "sugar_box": 2}
     assert [h[:8] for h in handoffs.object_content_hash] == ["ce2b3cad", "9d1f8be4"]
     assert handoffs.q.shape == (5, 27)
+    # What these files do not say.
+    assert not handoffs.reached.any() and np.all(handoffs.midpoint == UNKNOWN_M)
     np.testing.assert_allclose(
         handoffs.q[0, :4], [1.8879739, -2.2941012, -1.6343769, 1.8037711], rtol=1e-7
     )

@@ -1,0 +1,232 @@
+"""Reached handoffs of one object: home, selection, reaching, gate, collisions (method §3, §4).
+
+Objects lie as for inverse kinematics, one reach for each pose: the selection takes what it would
+take on the robot. So few candidates may have most of the states, and no draw evens that out.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.handoff.dataset import HandoffSet
+from mjx_grasp.handoff.report import ObjectReport
+from mjx_grasp.handoff.rows import Row, as_set
+from mjx_grasp.handoff.sampling import poses_at_rest, rotation_matrix, sample_object_poses
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.posture.body import Body, robot_body
+from mjx_grasp.posture.lift import scripted_lift
+from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.planning import Planner, start_library
+from mjx_grasp.reaching.presets import GATES, ReachPreset, with_gate
+from mjx_grasp.reaching.still import (
+    WORLDS,
+    Arrival,
+    Placed,
+    StillObject,
+    plans_still,
+    reach_still,
+)
+from mjx_grasp.robot.mjcf import joint_columns
+from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.sim.collision import CollisionChecker
+from mjx_grasp.sim.scene import build_scene
+
+_SPARE = 1.25
+"""More poses are drawn than states are missing: some reaches fail."""
+
+
+def reach_settings(config: HandoffConfig) -> ReachPreset:
+    """The controller of whole grasps with the gate, targets and least score that are asked for."""
+    settings = whole_grasps()
+    gate = GATES[config.gate]
+    if config.gate_midpoint is not None:
+        gate = replace(gate, midpoint=config.gate_midpoint)
+    least = max(
+        config.targets.min_goal_height, settings.selection.targets.min_goal_height
+    )  # the controller's own: tips go to their goals past the table
+    selection = replace(
+        settings.selection,
+        min_score=config.sampling.min_score,
+        targets=replace(config.targets, min_goal_height=least),
+    )
+    assert settings.plan is not None
+    plan = replace(
+        settings.plan,
+        library=config.posture.library,
+        area=config.sampling.area,
+        seed=config.seed,
+    )
+    return with_gate(replace(settings, selection=selection, plan=plan), gate)
+
+
+class _Task(NamedTuple):
+    """What does not change from round to round."""
+
+    obj: ObjectModel
+    what: StillObject
+    checker: CollisionChecker
+
+
+class ReachedGenerator:
+    """Makes reached handoffs of objects for one robot.
+
+    All objects share the library of starts and the compiled controller; what an object gets depends
+    on the configuration's seed and its own name only.
+    """
+
+    def __init__(self, robot: RobotSpec, config: HandoffConfig):
+        """Builds the start library and compiles nothing yet.
+
+        Args:
+            robot: Arm and hand.
+            config: Settings; `per_object` is how many reached states are wanted.
+
+        Raises:
+            InputError: The robot does not reach the object area, or has idle fingers that are to
+                stay at zero, but are bent at home.
+        """
+        self._robot, self._config = robot, config
+        settings = reach_settings(config)
+        assert settings.plan is not None
+        moves = robot.without_idle_fingers() if config.fix_idle_fingers else robot
+        self._body, self._columns = robot_body(robot), joint_columns(moves)
+        self._reacher = Reacher(robot_body(moves), settings.reach, settings.selection)
+        self._planner = Planner(self._reacher, settings.plan)
+        self._library = start_library(self._reacher.body, settings.plan)
+        self._worlds = min(WORLDS, config.sampling.poses_per_round)
+
+    def generate(
+        self, obj: ObjectModel, progress: Callable[[int], None] = lambda kept: None
+    ) -> tuple[HandoffSet, ObjectReport]:
+        """Reached handoffs of one object, and the report of what was refused.
+
+        Args:
+            obj: The object.
+            progress: Told how many states are there, after every round.
+        """
+        started = time.perf_counter()
+        config, report = self._config, ObjectReport(obj.name, "reached")
+        name = zlib.crc32(obj.name.encode())
+        rng = np.random.default_rng([config.seed, name, 1])  # other poses than those of `ik`
+        key = jax.random.fold_in(jax.random.key(config.seed), name)
+        heatmap = heatmap_of(obj, self._robot.hand, config.heatmap)
+        known = known_object(obj, self._robot, heatmap)
+        enough = known.candidates.valid & (known.candidates.score >= config.sampling.min_score)
+        report.eligible_candidates = int(enough.sum())
+        rows: list[Row] = []
+        if report.eligible_candidates:
+            checker = CollisionChecker(build_scene([obj], self._robot))
+            task = _Task(obj, StillObject(known.shape, known.candidates), checker)
+            for _ in range(config.max_rounds):
+                missing = config.per_object - len(rows)
+                rows += self._round(task, report, rng, key, missing)[:missing]
+                progress(len(rows))
+                if len(rows) == config.per_object:
+                    break
+        made = as_set(self._body, self._reacher.selection.targets, obj, rows, reached=True)
+        report.keep(made, time.perf_counter() - started)
+        return made, report
+
+    def _round(
+        self, task: _Task, report: ObjectReport, rng: np.random.Generator, key: Array, missing: int
+    ) -> list[Row]:
+        """Draws poses, reaches for the object at each, checks where the hand came to."""
+        sampling = self._config.sampling
+        # A full round, or as many as the worlds can do together that are likely to be enough.
+        full = self._worlds * math.ceil(_SPARE * missing / self._worlds)
+        count = min(full, sampling.poses_per_round)
+        resting = poses_at_rest(task.obj, sampling.standing)
+        pos, quat = sample_object_poses(resting, count, sampling, rng)
+        # Rounded to what the file holds, so that exactly the saved state is checked.
+        pos, quat = np.asarray(pos, np.float32), np.asarray(quat, np.float32)
+        turns = np.array([rotation_matrix(q) for q in quat], np.float32)
+        numbers = jnp.arange(report.poses, report.poses + count)
+        keys = jax.vmap(partial(jax.random.fold_in, key))(numbers)
+        plans = plans_still(self._planner, self._library, task.what, pos, turns, keys, self._worlds)
+        placed = Placed(jnp.asarray(pos), jnp.asarray(turns), plans)
+        found = reach_still(self._reacher, task.what, placed, self._worlds)
+        report.poses += count
+        report.sampled += count
+        rows: list[Row] = []
+        q = np.zeros((count, len(self._robot.joints)), np.float32)
+        q[:, self._columns] = found.q
+        for n, outcome in enumerate(self._outcomes(task.checker, found, q, pos, quat)):
+            report.poses_without_candidate += outcome == "no-candidate"
+            report.converged += outcome not in ("no-candidate", "not-reached")
+            if outcome is not None:
+                report.rejected[outcome] += 1
+                continue
+            report.feasible += 1
+            report.reach_seconds.append(float(found.clock[n]))
+            rows.append(
+                {
+                    "object_pos": pos[n],
+                    "object_quat": quat[n],
+                    "q": q[n],
+                    "target_pos": found.position[n],
+                    "target_normal": found.normal[n],
+                    "score": found.score[n],
+                    "residual": found.error[n],
+                }
+            )
+        return rows
+
+    def _outcomes(
+        self,
+        checker: CollisionChecker,
+        found: Arrival,
+        q: Float[np.ndarray, "n joints"],
+        pos: Float[np.ndarray, "n 3"],
+        quat: Float[np.ndarray, "n 4"],
+    ) -> Iterator[str | None]:
+        """Why each reach is refused; None if it is not."""
+        posture = self._config.posture
+        lift, touch = _ahead(self._reacher.body, posture.lift_height, found, self._worlds)
+        for n, outcome in enumerate(found.outcome):
+            if outcome == ReachOutcome.NO_CANDIDATE:
+                yield "no-candidate"
+            elif outcome != ReachOutcome.HANDOFF:
+                yield "not-reached"
+            elif lift[n] > posture.lift_error:
+                yield "lift"
+            elif touch[n] > posture.touch_error:
+                yield "touch"
+            else:
+                yield checker.reason(q[n], pos[n], quat[n])
+
+
+def _ahead(
+    body: Body, height: float, found: Arrival, worlds: int
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """What a lift straight up and a closing hand would lack of their ends, in one size [m]."""
+    count, parts = len(found.q), []
+    for first in range(0, count, worlds):
+        rows = np.minimum(np.arange(first, first + worlds), count - 1)
+        part = _lacking(body, height, found.q[rows], found.position[rows])
+        kept = min(worlds, count - first)
+        parts.append([np.asarray(leaf)[:kept] for leaf in part])
+    lift, touch = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    return lift, touch
+
+
+@partial(jax.jit, static_argnames=("body", "height"))
+def _lacking(
+    body: Body, height: float, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    lift = jax.vmap(lambda q: scripted_lift(body, q, height).error)(q)
+    return lift, jnp.max(jax.vmap(partial(touch_errors, body))(q, contacts), axis=-1)

@@ -317,13 +317,16 @@ class Grasper:
         in_vain &= (before.failure == Failure.NONE) & (after.retries < self.config.retries)
         phase = jnp.where(in_vain, Phase.REACHING, after.phase).astype(jnp.int32)
         back = in_vain | ((phase == Phase.REACHING) & (before.phase != Phase.REACHING))
-        again = self._start_reach(measured, known, seen, before.ways)
-        again = again._replace(stale=jnp.asarray(before.ways is not None))
+
+        def anew() -> ReachState:
+            begun = self._start_reach(measured, known, seen, before.ways)
+            return begun._replace(stale=jnp.asarray(before.ways is not None))
+
         return after._replace(
             phase=phase,
             failure=jnp.where(in_vain, Failure.NONE, after.failure).astype(jnp.int32),
             retries=after.retries + in_vain,
-            reach=jax.tree.map(lambda a, b: jnp.where(back, a, b), again, after.reach),
+            reach=jax.lax.cond(back, anew, lambda: after.reach),
         )
 
     def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:

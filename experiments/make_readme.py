@@ -67,6 +67,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
+            "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),

@@ -47,16 +47,11 @@ CONDITIONS = {
     "hard": StartNoise(offset_m=0.01, friction=(0.5, 0.5)),
     "other robot": StartNoise(robot=_OTHER_ROBOT),
 }
-_NOT_COMPARED = {
-    "out",
-    "resume",
-    "objects_dir",
-    "handoffs",
-    "seed",
-    "preset",
-    "fit_memory",
-    "evaluation_episodes",
-}
+_NOT_COMPARED = (
+    *("out", "resume", "objects_dir", "handoffs", "handoffs_per_object", "seed", "preset"),
+    *("fit_memory", "evaluation_episodes", "loop.checkpoint_every_s"),
+)
+"""Where a run may differ from its preset and still be trained alike."""
 
 
 @dataclass(frozen=True)

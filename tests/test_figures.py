@@ -14,6 +14,7 @@ import trimesh
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.training.config import settings_of
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -47,6 +48,31 @@ def test_steering_brings_the_contacts_nearer(tmp_path, monkeypatch):
     assert set(by_name) == {"default", "contacts", "axis", "between"}
     assert max(by_name["axis"], by_name["contacts"]) < by_name["default"] - 30
     assert content["provenance"]["git"] and Image.open(out).width > 400
+
+
+def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    changes = script("policy_ablation").changes
+    preset = settings_of("gpu")
+    assert changes(replace(preset, seed=3, out=Path("runs/a"), evaluation_episodes=0)) == {}
+    reward = replace(preset.task.reward, held=0.0)
+    ppo = replace(preset.ppo, iterations=240)
+    unheld = changes(replace(preset, task=replace(preset.task, reward=reward), ppo=ppo))
+    assert unheld == {"task.reward.held": 0.0, "ppo.iterations": 240}
+
+    sums = {"trials": 8, "success_percent": 87.5, "force_mean_n": 2.0, "within_3n_percent": 75.0}
+    sums |= {"condition": "hard", "budget_n": 1.5}
+    rows = [
+        {"run": "b", "seed": 0, "changes": unheld, "evaluations": [sums]},
+        {"run": "a", "seed": 1, "changes": {"ppo.iterations": 240}, "evaluations": [sums]},
+    ]
+    path = tmp_path / "ablation.json"
+    path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
+    text = script("policy_tables").ablation(path)
+    first, second = text.splitlines()[-2:]
+    assert first == "| preset | 1 | 87.5 at 2.0 / 75.0 |"
+    assert second == "| `task.reward.held` 0 | 0 | 87.5 at 2.0 / 75.0 |"
+    assert "| differs in | seed | hard, 1.5 N |" in text and "with 15.7 M steps" in text
 
 
 def test_each_picture_of_steering_has_a_scale_of_its_own(monkeypatch):

@@ -123,9 +123,9 @@ def policies(folder: Path, shipped: Path) -> str:
 _ABLATION = (
     "Runs of the preset `gpu` with {steps:.1f} M steps that differ from it as the first column "
     "says. Each policy lifts in native MuJoCo from {trials} starts of the training set per "
-    "condition and budget: success % at the mean force in N / lifted within 3 N, %. *Hard* is ±10 mm with "
-    "friction 0.5; *other robot* has position gains off by up to three tenths and commands up to "
-    "20 ms late. The starts are shared; differences below some 4 points say little."
+    "condition and budget: success % at the mean force in N / lifted within 3 N, %. *Hard* is "
+    "±10 mm with friction 0.5; *other robot* has position gains off by up to three tenths and "
+    "commands up to 20 ms late. The starts are shared; differences below some 4 points say little."
 )
 
 

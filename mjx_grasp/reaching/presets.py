@@ -51,12 +51,12 @@ def _additions() -> dict[str, ReachPreset]:
         # Fewer attempts, better chosen: starts whose hand is clear of the object, first steps that
         # are damped, and of what they lead to only the best goes on.
         plan=PlanConfig(
-            starts=StartConfig(count=16, overlap_weight=3.0, ranked=64),
-            ik=IkConfig(iterations=12, damping=0.3),
-            finalists=6,
+            starts=StartConfig(count=16, overlap_weight=3.0, ranked=32),
+            ik=IkConfig(iterations=14, damping=0.3),
+            finalists=5,
             first_steps=5,
-            retreat_steps=6,
-            way_samples=2,
+            retreat_steps=5,
+            way_samples=1,
         ),
         reach=reach(
             # The hand aligns out there, comes in, and comes to rest without a long tail.

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
-# Of the damping: at the start, times this after a step that was taken, after one that was not.
-_START, _FALL, _RISE = 1e-3, 0.3, 5.0
+# Of the damping: times this after a step that was taken, after one that was not.
+_FALL, _RISE = 0.3, 5.0
 _RANGE = (1e-7, 1e2)
 # Added to the diagonal that the damping scales, so that an unknown without a lever does not run
 # off; in squared errors per squared unknown.
@@ -72,6 +72,7 @@ def minimise(
     pull: Float[Array, " n"],
     reference: Float[Array, " n"],
     iterations: int,
+    damping: float = 1e-3,
 ) -> Minimum:
     """Minimises ``|errors(x)|² + |pull · (x − reference)|²`` over ``lower ≤ x ≤ upper``.
 
@@ -87,6 +88,7 @@ def minimise(
         pull: Weights towards the reference, in errors per unknown.
         reference: Where the pull is to.
         iterations: Steps, fixed.
+        damping: Of the first step, of the diagonal of the normal equations.
     """
 
     def evaluated(x: Float[Array, " n"]) -> _Evaluation:
@@ -125,7 +127,7 @@ def minimise(
         unsolved = jax.tree.map(
             lambda a: jnp.full(a.shape, jnp.inf, a.dtype), jax.eval_shape(evaluated, start)
         )
-        state = unsolved._replace(x=start), jnp.asarray(_START / _FALL, start.dtype), start
+        state = unsolved._replace(x=start), jnp.asarray(damping / _FALL, start.dtype), start
         best, _, _ = jax.lax.fori_loop(0, iterations + 1, step, state)
     at_bound = jnp.any((best.x <= lower) | (best.x >= upper))
     return Minimum(best.x, best.cost, best.known, at_bound)

@@ -22,7 +22,7 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import Planner
+from mjx_grasp.reaching.planning import PlanConfig, Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset
 from mjx_grasp.robot.spec import RobotSpec
 
@@ -60,8 +60,18 @@ def whole_grasps(
         if approach != "any":
             raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
+    # What follows is known of postures that were solved for alone: no attempt is left behind.
+    thorough = PlanConfig()
     plan = replace(
-        settings.plan, lift_error=0.03, touch_error=0.022, touch_weight=100.0, approach=approach
+        settings.plan,
+        starts=replace(settings.plan.starts, count=thorough.starts.count),
+        ik=replace(settings.plan.ik, iterations=thorough.ik.iterations),
+        finalists=None,
+        retreat_steps=None,
+        lift_error=0.03,
+        touch_error=0.022,
+        touch_weight=100.0,
+        approach=approach,
     )
     return replace(settings, plan=plan)
 

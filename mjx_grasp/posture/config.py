@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mjx_grasp.records.settings import Count, NonNegative, Settings
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Settings
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class IkConfig(Settings):
 
     iterations: Count = 30
     """Levenberg–Marquardt steps, fixed [-]"""
+    damping: Positive = 1e-3
+    """of the first of them; far from a solution the first steps of little damping are wasted [-]"""
     orientation_weight: NonNegative = 0.012
     """pad normals against tips [m/rad]"""
     posture_weight: NonNegative = 0.001

@@ -98,6 +98,7 @@ def solve_ik(
         jnp.asarray(pull, jnp.float32),
         reference[solved],
         config.iterations,
+        config.damping,
     )
     return IkSolution(
         q=whole(best.x),

@@ -102,23 +102,29 @@ def choose_starts(
 
     have = features(TipGoals(library.tips[near], library.pads[near]))
     want = features(options.goals)
-    squares = jnp.sum(want**2, axis=1)
-    gap = jnp.where(options.admissible, squares, jnp.inf) - 2.0 * have @ want.T
-    option = jnp.argmin(gap, axis=1)
-    gap = jnp.take_along_axis(gap, option[:, None], axis=1)[:, 0] + jnp.sum(have**2, axis=1)
+    squares = jnp.where(options.admissible, jnp.sum(want**2, axis=1), jnp.inf)
+
+    def gap(have: Float[Array, "n 18"]) -> Float[Array, "n v"]:
+        return squares - 2.0 * have @ want.T
+
+    # The least alone is quick to find; which option has it is asked for the few that are used.
+    least = jnp.min(gap(have), axis=1) + jnp.sum(have**2, axis=1)
     if config.time_scale > 0:
         time = jnp.max(jnp.abs(library.q[near] - q) / body.velocity_limit, axis=1)
-        gap = gap + (config.time_scale * time) ** 2
-    if config.overlap_weight > 0:
-        least, ranked = jax.lax.top_k(-gap, min(config.ranked, len(near)))
-        near, option = near[ranked], option[ranked]
+        least = least + (config.time_scale * time) ** 2
+    overlaps = config.overlap_weight > 0
+    few = min(config.ranked, len(near)) if overlaps else config.count
+    nearest, best = jax.lax.top_k(-least, few)
+    near, option = near[best], jnp.argmin(gap(have[best]), axis=1)
+    if overlaps:
 
         def overlap(entry: Int[Array, ""], option: Int[Array, ""]) -> Float[Array, ""]:
             return _overlap(body, library.q[entry], options.goals.tips[option], around)
 
-        gap = config.overlap_weight**2 * jax.vmap(overlap)(near, option) - least
-    _, best = jax.lax.top_k(-gap, config.count)
-    return Starts(option[best], library.q[near[best]])
+        least = config.overlap_weight**2 * jax.vmap(overlap)(near, option) - nearest
+        _, best = jax.lax.top_k(-least, config.count)
+        near, option = near[best], option[best]
+    return Starts(option, library.q[near])
 
 
 def _around_object(

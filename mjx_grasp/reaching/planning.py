@@ -6,7 +6,7 @@ and guides selection and reaching in the presets that look ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -21,17 +21,26 @@ from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import TargetOptions, admissible, standoffs, target_options
 from mjx_grasp.posture.body import FINGERS, PALM, Body
+from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.lift import scripted_lift
-from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.surroundings import Surroundings, stacked
 from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.reaching.approach import Approach, approaching, deviation
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.records.settings import Count, NonNegative, Positive, PositiveOrNever, Seed, Settings
+from mjx_grasp.records.settings import (
+    Count,
+    NonNegative,
+    Positive,
+    PositiveOrNever,
+    Seed,
+    Settings,
+    WholeNumber,
+)
 from mjx_grasp.sim.scene import ObjectArea
 
 # Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
@@ -73,6 +82,18 @@ class PlanConfig(Settings):
     """where the solver starts"""
     ik: IkConfig = field(default_factory=IkConfig)
     """the solver; clearances are the controller's"""
+    finalists: Count | None = None
+    """attempts that go on after the first steps, the most promising; None: all [-]"""
+    first_steps: Count = 6
+    """that every attempt gets where some are left behind, beside the solver's own [-]"""
+    retreat_steps: Count | None = None
+    """of the solver for the retreated posture; None: as many as its own [-]"""
+    way_samples: WholeNumber = 0
+    """postures on the straight way to the retreated posture, and as many on the way in from it,
+    whose clearances count; 0: plans are chosen by where they end alone [-]"""
+    way_weight: NonNegative = 10.0
+    """time that a clearance missing on these ways counts as, and a retreat that comes short
+    [s/m]"""
 
 
 class Search(NamedTuple):
@@ -150,25 +171,44 @@ class Planner:
         starts = choose_starts(body, library, plan.starts, ways.options, around, q, key)
         option, home = starts.option, jnp.asarray(body.home)
 
-        def attempt(option: Int[Array, ""], start: Float[Array, " joints"]) -> IkSolution:
-            wanted = jax.tree.map(lambda leaf: leaf[option], goals)
-            return solve_ik(body, plan.ik, self._clearances, wanted, around, start, home)
+        def attempts(
+            option: Int[Array, " n"], start: Float[Array, "n joints"], steps: int
+        ) -> IkSolution:
+            def attempt(option: Int[Array, ""], start: Float[Array, " joints"]) -> IkSolution:
+                wanted = jax.tree.map(lambda leaf: leaf[option], goals)
+                ik = replace(plan.ik, iterations=steps)
+                return solve_ik(body, ik, self._clearances, wanted, around, start, home)
 
-        found = jax.vmap(attempt)(option, starts.q)
+            return jax.vmap(attempt)(option, start)
+
+        start = starts.q
+        if plan.finalists is not None and plan.finalists < plan.starts.count:
+            begun = attempts(option, start, plan.first_steps)
+            cost = self._costs(allowed[option], begun, q)
+            _, best = jax.lax.top_k(-cost, plan.finalists)
+            option, start = option[best], begun.q[best]
+        found = attempts(option, start, plan.ik.iterations)
         position = around.p_wo + ways.targets.position[option] @ around.R_wo.T
         cost = self._costs(allowed[option], found, q) + self._shortfall(found.q, position)
-        kept = self._different(found.q, cost)
 
-        def planned(k: Int[Array, ""]) -> Guide:
+        def guide(k: Int[Array, ""]) -> Guide:
             wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)
-            return self._guide(wanted, found.q[k], around, cost[k] < _FAILED)
+            return self._guide(wanted, found.q[k], around)
 
+        if plan.way_samples:
+            everyone = jax.vmap(guide)(jnp.arange(len(option)))
+            cost = cost + jax.vmap(lambda g: self._way_cost(g, q, around))(everyone)
+            kept = self._different(found.q, cost)
+            guides = jax.tree.map(lambda leaf: leaf[kept], everyone)
+        else:
+            kept = self._different(found.q, cost)
+            guides = jax.vmap(guide)(kept)
         pick = option[kept]
         plans = Plans(
             candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
             reach=jax.nn.one_hot(jnp.asarray(ways.targets.axis)[pick], 3),
             spread=ways.targets.spread[pick],
-            guide=jax.vmap(planned)(kept),
+            guide=guides._replace(known=cost[kept] < _FAILED),
         )
         error = jnp.max(found.error, axis=1)
         clear = allowed[option] & (found.penetration <= 0)
@@ -190,7 +230,6 @@ class Planner:
         wanted: TipGoals,
         q: Float[Array, " joints"],
         around: Surroundings,
-        known: Bool[Array, ""],
     ) -> Guide:
         """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
         body, goals = self.reacher.body, wanted.tips
@@ -202,17 +241,45 @@ class Planner:
         outwards = motion.pos[PALM] - middle
         retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
         shifted = TipGoals(goals + self.reacher.config.guide.length * retreat, wanted.pads)
-        retreated = solve_ik(body, self.config.ik, self._clearances, shifted, around, q, q)
+        ik = self.config.ik
+        ik = replace(ik, iterations=self.config.retreat_steps or ik.iterations)
+        retreated = solve_ik(body, ik, self._clearances, shifted, around, q, q)
         outside = body.kinematics.motion(retreated.q)
         R = around.R_wo
         pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
         return Guide(
-            known=known,
+            known=jnp.asarray(True),
             q=jnp.stack([q, retreated.q]),
             palm_pos=(pos - around.p_wo) @ R,
             palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
             tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
         )
+
+    def _way_cost(
+        self, guide: Guide, q: Float[Array, " joints"], around: Surroundings
+    ) -> Float[Array, ""]:
+        """What a plan costs beyond the straight way to its end: detour, things in the way [s]."""
+        body, plan = self.reacher.body, self.config
+        inside, outside = guide.q
+
+        def time(a: Float[Array, " joints"], b: Float[Array, " joints"]) -> Float[Array, ""]:
+            return jnp.max(jnp.abs(a - b) / body.velocity_limit)
+
+        share = jnp.arange(1, plan.way_samples + 1)[:, None] / plan.way_samples
+        there = q + share * (outside - q)
+        # The end of the way in is a solution.
+        inwards = outside + (share - 0.5 / plan.way_samples) * (inside - outside)
+
+        def missing(q: Float[Array, " joints"]) -> Float[Array, ""]:
+            motion = body.kinematics.motion(q)
+            near, safe = proximities(body, motion, around, self._clearances)
+            return jnp.max(safe - stacked(list(near.values())).distance, initial=0.0)
+
+        lacking = jax.vmap(missing)(jnp.concatenate([there, inwards]))
+        short = jnp.maximum(self.reacher.config.guide.length - norm(guide.tip_shift), 0.0)
+        detour = time(q, outside) + time(outside, inside) - time(q, inside)
+        worst = jnp.max(lacking[: plan.way_samples]) + jnp.max(lacking[plan.way_samples :])
+        return detour + plan.way_weight * (worst + short)
 
     def _costs(
         self, admissible: Bool[Array, " n"], found: IkSolution, q: Float[Array, " joints"]

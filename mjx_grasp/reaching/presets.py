@@ -7,6 +7,7 @@ from typing import Any
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.posture.config import IkConfig, StartConfig
 from mjx_grasp.reaching.config import HandoffGate, ReachConfig
 from mjx_grasp.reaching.planning import PlanConfig
 from mjx_grasp.records.settings import Settings
@@ -47,7 +48,25 @@ def _additions() -> dict[str, ReachPreset]:
     add("clearance", reach=reach(limits={"follow_object": True, "margin": 0.0008}))
     add(
         "default",
+        # Fewer attempts, better chosen: starts whose hand is clear of the object, first steps that
+        # are damped, and of what they lead to only the best goes on.
+        plan=PlanConfig(
+            starts=StartConfig(count=16, overlap_weight=3.0, ranked=32),
+            ik=IkConfig(iterations=14, damping=0.3),
+            finalists=5,
+            first_steps=5,
+            retreat_steps=5,
+            way_samples=1,
+        ),
         reach=reach(
+            # The hand aligns out there, comes in, and comes to rest without a long tail.
+            guide={
+                "length": 0.21,
+                "palm_gain": 15.0,
+                "settled_arm_weight": 0.01,
+                "hand_weight": 0.01,
+            },
+            fields={"slow_down": 0.02, "posture_gain": 15.0},
             controller={
                 "reselections": 6,
                 "stall_time": 0.5,
@@ -66,7 +85,8 @@ for which inverse kinematics found a posture; ``guide``: that posture guides the
 the guide is enough, tips need no via-points and slow down later; ``clearance``: half-spaces have a
 margin and move with the object, and a command is scaled back where its tick would end too near to
 something, which bounds of the nearest points alone do not rule out; ``default``: another plan when
-progress stalls, handoff when every tip is near."""
+progress stalls, handoff when every tip is near, plans chosen by the whole way and from fewer
+attempts, a longer way in, and a hand that comes to rest sooner."""
 
 
 GATES = {

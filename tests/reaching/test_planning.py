@@ -153,3 +153,37 @@ def test_the_hand_comes_in_only_when_it_is_aligned(planned):
     assert done == 0.0
     np.testing.assert_allclose(goal.offset, 0.0, atol=1e-7)
     np.testing.assert_allclose(goal.q, guide.q[0], atol=1e-6)
+
+
+def test_without_additions_everything_is_pursued_as_before(planned):
+    reacher, plan, poses, _, _ = planned
+    library = start_library(reacher.body, plan)
+    plain = replace(plan, finalists=None, retreat_steps=None, way_samples=0)
+    one = jax.tree.map(lambda leaf: leaf[:1], poses)
+
+    def search(plan):
+        return plan_all(Planner(reacher, plan), library, one, 1)
+
+    # All attempts as finalists leave none behind, whatever the first steps would be.
+    everyone = replace(plain, finalists=plain.starts.count, first_steps=1)
+    all_steps = replace(plain, retreat_steps=plain.ik.iterations, way_weight=1e3)
+    for other in (everyone, all_steps):
+        for a, b in zip(*map(jax.tree.leaves, (search(plain), search(other))), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_in_the_way_and_a_detour_cost_time(planned):
+    reacher, plan, poses, found, _ = planned
+    planner = Planner(reacher, replace(plan, way_samples=4))
+    cost = jax.jit(planner._way_cost)
+    guide = jax.tree.map(lambda leaf: jnp.asarray(leaf[0, 0]), found.plans.guide)
+    around, home = _world(poses, 0), jnp.asarray(reacher.body.home)
+    away = around._replace(p_wo=jnp.asarray([0.0, 0.0, 5.0]))
+    # An object where the hand begins its way in, and one that is nowhere.
+    outside = reacher.body.kinematics.motion(guide.q[1]).pos[PALM]
+    there = around._replace(p_wo=outside)
+    assert cost(guide, home, there) > cost(guide, home, away) + 0.1
+    # Farther out than there is a way for is a detour.
+    limit = jnp.asarray(reacher.body.velocity_limit)
+    far = guide._replace(q=guide.q.at[1].add(0.5 * limit * jnp.sign(guide.q[1] - home)))
+    assert cost(far, home, away) > cost(guide, home, away) + 0.4

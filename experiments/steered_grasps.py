@@ -1,0 +1,213 @@
+"""What steering achieves, and what it costs: whole grasps with and without it, from the same poses.
+
+Objects lie at random on the table and are grasped "near the top", "by the handle" and so on: every
+side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
+distance of the place from the contacts is measured: of those that were chosen, and of the
+fingertips when the lift begins. A side may lie on the table; it is asked for all the same.
+
+  python experiments/steered_grasps.py --objects-dir SCANS
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from jaxtyping import Float
+from rich.console import Console
+
+from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.grasps.problems import draw_problem
+from mjx_grasp.evaluation.grasps.results import grasp_rows
+from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace, grasp_all
+from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import turned_back
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.steering import steer_to
+from mjx_grasp.language.grounding import Anchor, target_of
+from mjx_grasp.language.parts import SIDES, PartGrounder
+from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.pipeline.state import Known
+from mjx_grasp.posture.body import FINGERS
+from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, Seed, to_record
+from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.scene import build_scene
+
+SCHEMA = "mjx_grasp.steered_grasps/1"
+_TEN = (
+    *("potted_meat_can", "sugar_box", "pitcher_base_scaled", "mustard_bottle", "cracker_box"),
+    *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
+)
+_FACES = tuple(side for side in SIDES if side != "middle")
+_PERCENT = 100
+
+
+@dataclass(frozen=True)
+class SteeredConfig(CommandSettings):
+    """What to grasp."""
+
+    out: Path = Path("experiments/results/steered_grasps.json")
+    objects: tuple[str, ...] = _TEN
+    """names of the catalogue"""
+    objects_dir: Path | None = None
+    """folder of real scans; parametric stand-ins without one"""
+    seed: Seed = 0
+    """of the poses and plans"""
+
+
+class Place(NamedTuple):
+    """Where one trial is to grasp."""
+
+    index: int
+    """of the object"""
+    kind: str
+    """`part` or `side`"""
+    name: str
+    anchor: Anchor
+
+
+def places_of(index: int, obj: ObjectModel) -> list[Place]:
+    """Every side and every named part of an object."""
+    target = target_of(obj.name, obj.mesh, obj.parts)
+    asked = [*(("part", part) for part in obj.parts), *(("side", side) for side in _FACES)]
+    found = ((kind, name, PartGrounder().ground(name, target)) for kind, name in asked)
+    # A part hides a side of its name.
+    return [Place(index, k, n, anchor) for k, n, anchor in found if anchor.source == f"{k}: {n}"]
+
+
+def stacked(known: list[Known]) -> Known:
+    """What is known in each trial."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
+
+
+def contacts_in_object(
+    grasper: Grasper, physics: NativePhysics, trace: Trace
+) -> tuple[Float[np.ndarray, "w 3 3"], Float[np.ndarray, "w 3 3"]]:
+    """Chosen contacts at the last handoff, and fingertips at lift onset; object frame [m].
+
+    They are nan in trials that do not come so far.
+    """
+    at, worlds = physics.scene.addresses, trace.phase.shape[1]
+    chosen, achieved = np.full((2, worlds, 3, 3), np.nan)
+    pads = jax.jit(lambda q: grasper.reacher.body.kinematics.motion(q).pos[:FINGERS])
+    for w in range(worlds):
+        phase, qpos = trace.phase[:, w], trace.qpos[:, w]
+        lifting = np.flatnonzero(phase == Phase.LIFTING)
+        before = phase[: lifting[0]] if len(lifting) else phase
+        for kept, tick, points in (
+            (chosen, np.flatnonzero(before == Phase.CLOSING)[-1:], trace.contacts[:, w]),
+            (achieved, lifting[:1], None),
+        ):
+            if len(tick):
+                t = int(tick[0])
+                pose = qpos[t, at.object_qpos]
+                seen = points[t] if points is not None else pads(qpos[t, at.robot_qpos])
+                R_wo = so3.quat_to_mat(jnp.asarray(pose[3:]))
+                kept[w] = np.asarray(turned_back(R_wo, jnp.asarray(seen) - pose[:3]))
+    return chosen, achieved
+
+
+def rows_of(
+    way: str,
+    places: list[Place],
+    names: list[str],
+    ran: tuple[GraspEnd, Trace],
+    grasper: Grasper,
+    physics: NativePhysics,
+    problem: GraspProblem,
+) -> list[dict[str, Any]]:
+    """One row per trial."""
+    end, trace = ran
+    ends = grasp_rows(names, problem, end, trace, grasper.dt)
+    rows = []
+    both = zip(*contacts_in_object(grasper, physics, trace), strict=True)
+    for place, row, (chosen, achieved) in zip(places, ends, both, strict=True):
+        rows.append(
+            {
+                "object": names[place.index],
+                "kind": place.kind,
+                "place": place.name,
+                "steering": way,
+                "outcome": row.outcome,
+                "force_mean_n": row.force_mean_n,
+                "chosen_mm": _distance(chosen, place.anchor),
+                "achieved_mm": _distance(achieved, place.anchor),
+            }
+        )
+    return rows
+
+
+def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | None:
+    """Mean distance of the contacts from the anchor."""
+    if np.isnan(contacts).any():
+        return None
+    return round(1e3 * float(np.linalg.norm(contacts - anchor.point, axis=1).mean()), 1)
+
+
+def grasped(
+    way: str,
+    places: list[Place],
+    objects: list[ObjectModel],
+    problem: GraspProblem,
+    robot: RobotSpec,
+    config: SteeredConfig,
+    console: Console,
+) -> list[dict[str, Any]]:
+    """All trials in one way."""
+    heatmaps = [heatmap_of(obj, robot.hand) for obj in objects]
+    steered = way != "default"
+    known = []
+    for place in places:
+        heatmap, anchor = heatmaps[place.index], place.anchor
+        score = steer_to(heatmap, anchor.point, anchor.size, steering=way) if steered else None
+        known.append(known_object(objects[place.index], robot, heatmap, score))
+    grasper = loaded_grasper(robot, steered=steered)
+    assert grasper.planner is not None
+    library = start_library(grasper.reacher.body, grasper.planner.config)
+    physics = NativePhysics(build_scene(objects, robot), grasper.dt)
+    with counting_progress(console) as bar:
+        job = bar.add_task(way, total=_PERCENT)
+        ran = grasp_all(
+            grasper, library, physics, stacked(known), problem, None, config.seed,
+            lambda share: bar.update(job, completed=round(_PERCENT * share)),
+        )  # fmt: skip
+    names = [obj.name for obj in objects]
+    return rows_of(way, places, names, ran, grasper, physics, problem)
+
+
+def main(config: SteeredConfig) -> None:
+    """Grasps in both ways and writes."""
+    check_writable("--out", config.out)
+    made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
+    objects = list(load_objects(config.objects, config.objects_dir))
+    places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
+    counts = [sum(place.index == k for place in places) for k in range(len(objects))]
+    drawn = [draw_problem([obj], n, config.seed) for obj, n in zip(objects, counts, strict=True)]
+    problem = GraspProblem(
+        object_index=np.repeat(np.arange(len(objects)), counts),
+        p_wo=np.concatenate([part.p_wo for part in drawn]),
+        quat=np.concatenate([part.quat for part in drawn]),
+    )
+    rows: list[dict[str, Any]] = []
+    for way in ("default", "contacts"):
+        rows += grasped(way, places, objects, problem, robot, config, console)
+        content = {"schema": SCHEMA, "config": to_record(config), "rows": rows}
+        write_json(config.out, content | {"provenance": made})
+    Console().print(f"written: {config.out}, {len(rows)} trials")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(SteeredConfig, description=__doc__)))

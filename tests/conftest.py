@@ -39,6 +39,7 @@ SUBSTEPS = 5
 LONGEST_FIRST = (
     "test_grasper.py",
     "test_docs.py",
+    "test_reached.py",
     "test_reactivity.py",
     "test_planning.py",
     "test_controller.py",

@@ -124,6 +124,7 @@ def test_every_reach_is_accounted_for(generated):
     assert row["tip_error_mm"]["tips"]["mean"] == pytest.approx(np.mean(mean), abs=2e-3)
 
 
+@pytest.mark.long
 def test_the_seed_decides_everything(generator, generated, brick):
     first, _ = generated
     again, _ = generator.generate(brick)
@@ -153,6 +154,7 @@ def queue(generator, brick, robot):
     return what, placed, reach_still(generator._reacher, what, placed, WORLDS)
 
 
+@pytest.mark.long
 def test_what_comes_of_a_reach_does_not_depend_on_the_others(generator, queue):
     what, placed, together = queue
     for k in (0, len(placed.p_wo) - 1):

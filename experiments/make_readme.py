@@ -74,6 +74,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "eligibility": stage_tables.eligibility(folder / "eligibility.json"),
             "steering": steering_tables.steering(folder / "steering_numbers.json"),
             "steering-parts": steering_tables.parts(folder / "steering_numbers.json"),
+            "steered-grasps": steering_tables.executed(folder / "steered_grasps.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
             "limits": reach_tables.reach_limits(
                 [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]

@@ -77,6 +77,49 @@ def parts(path: Path) -> str:
     return markdown(Table("Parts", ("object", "part", "mesh", *ways, "quality"), rows, names=3))
 
 
+def executed(path: Path) -> str:
+    """Whole grasps with and without steering: how near they come, what it costs."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    ways = list(dict.fromkeys(row["steering"] for row in d["rows"]))
+    lines = []
+    for kind in ("part", "side", None):
+        of = {
+            way: [r for r in d["rows"] if r["steering"] == way and kind in (None, r["kind"])]
+            for way in ways
+        }
+        pairs = list(zip(*of.values(), strict=True))
+        if not pairs:
+            continue
+        for way, rows in of.items():
+            held = sum(row["outcome"] == "success" for row in rows)
+            both = [(a["achieved_mm"], b["achieved_mm"]) for a, b in pairs]
+            nearer = [b < a for a, b in both if a is not None and b is not None]
+            lines.append(
+                (
+                    "all" if kind is None else f"{kind}s",
+                    f"{len(rows)}",
+                    way,
+                    _median([row["chosen_mm"] for row in rows]),
+                    _median([row["achieved_mm"] for row in rows]),
+                    f"{100 * np.mean(nearer):.0f}" if way != ways[0] and nearer else "",
+                    f"{100 * held / len(rows):.1f}",
+                    _median([row["force_mean_n"] for row in rows]),
+                )
+            )
+    header = (
+        *("places", "grasps", "steering", "chosen mm", "achieved mm"),
+        *("nearer %", "lifted and held %", "force N"),
+    )
+    return markdown(Table("Steered grasps", header, tuple(lines), names=3))
+
+
+def _median(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return f"{np.median(known):.1f}" if known else ""
+
+
 def _places(rows: Sequence[dict[str, Any]]) -> Places:
     found: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
     for row in rows:

@@ -75,6 +75,27 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     assert "| differs in | seed | hard, 1.5 N |" in text and "with 15.7 M steps" in text
 
 
+def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+
+    def row(way, kind, outcome, achieved):
+        named = {"object": "mug", "kind": kind, "place": "rim", "steering": way}
+        return named | {"outcome": outcome, "force_mean_n": 2.0} | {
+            "chosen_mm": 10.0, "achieved_mm": achieved,
+        }  # fmt: skip
+
+    rows = [
+        row("default", "part", "success", 40.0), row("default", "side", "success", 20.0),
+        row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None),
+    ]  # fmt: skip
+    path = tmp_path / "grasps.json"
+    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/1", "rows": rows}))
+    lines = script("steering_tables").executed(path).splitlines()[2:]
+    assert lines[0] == "| parts | 1 | default | 10.0 | 40.0 |  | 100.0 | 2.0 |"
+    assert lines[1] == "| parts | 1 | contacts | 10.0 | 12.0 | 100 | 100.0 | 2.0 |"
+    assert lines[-1] == "| all | 2 | contacts | 10.0 | 12.0 | 100 | 50.0 | 2.0 |"
+
+
 def test_each_picture_of_steering_has_a_scale_of_its_own(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     figure = script("steering_figure")

@@ -267,7 +267,7 @@ def shipped_policy(path: Path) -> str:
 def shipped_handoffs(folder: Path) -> str:
     """What the shipped sets of start states hold, and every command that made them."""
     parts = []
-    for name in ("scans", "standins"):
+    for name in ("scans", "standins", "reached"):
         d = read(folder / f"handoffs_{name}.json")
         if d is None:
             continue

@@ -47,10 +47,11 @@ class Condition(NamedTuple):
         )
 
     def short(self) -> str:
-        """Engine, error and friction alone."""
+        """Engine, start states other than those of inverse kinematics, error and friction alone."""
         turned = f", {self.angle_deg:g}°" if self.angle_deg else ""
+        starts = "" if self.handoffs == "ik" else f", {_HANDOFFS[self.handoffs]}"
         return (
-            f"{_ENGINES.get(self.engine, self.engine)}, ±{self.offset_mm:g} mm{turned}, "
+            f"{_ENGINES.get(self.engine, self.engine)}{starts}, ±{self.offset_mm:g} mm{turned}, "
             f"friction {self.friction:g}{self._changes()}"
         )
 

@@ -101,7 +101,7 @@ def test_the_stages_before_closing_have_their_tables(root):
     sweep = {
         "rate_percent": {"20": {"3": 91.25}},
         "paper_rate_percent": {"20": {"3": 78.3}},
-        "rate_percent_since_start": {"20": {"3": 80.5}},
+        "rate_percent_since_start": {"20": {"1": 5.5, "2": 60.5, "3": 80.5}},
         "rate_percent_since_first_near": {"20": {"3": 85.5}},
         "solvable_percent": {"20": 97.5},
         "poses": 2752,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -11,7 +12,7 @@ from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import InputError
-from mjx_grasp.grasp.candidates import from_heatmap
+from mjx_grasp.grasp.candidates import Candidates, from_heatmap
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
@@ -32,6 +33,8 @@ STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
 STEERED_LEAST = 32
 """Candidates that reach it at least: one or two are seldom within reach."""
+LESSER_SCORES = (0.1, 0.0)
+"""With which they are chosen all the same where nothing nearer is within reach [-]."""
 _GRAVITY = 9.81  # m/s²
 
 
@@ -45,8 +48,9 @@ def whole_grasps(
 
     Args:
         preset: What it is made from.
-        steered: Whether the candidates' scores are those of an anchor: then only those are used
-            that it raises high enough, or reach would decide in its place; see `known_object`.
+        steered: Whether the candidates' scores are those of an anchor: then those are used that it
+            raises high enough, or reach would decide in its place; see `steered_candidates`. Others
+            are where there is no posture for any of them.
         approach: From where the palm is to come.
 
     Raises:
@@ -60,6 +64,7 @@ def whole_grasps(
         if approach != "any":
             raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
+    lesser = LESSER_SCORES if steered else ()
     # What follows is known of postures that were solved for alone: no attempt is left behind.
     thorough = PlanConfig()
     plan = replace(
@@ -71,6 +76,7 @@ def whole_grasps(
         lift_error=0.03,
         touch_error=0.022,
         touch_weight=100.0,
+        lesser_scores=lesser,
         approach=approach,
     )
     return replace(settings, plan=plan)
@@ -116,14 +122,36 @@ def known_object(
         obj: The object.
         robot: Whose hand the candidates are for.
         heatmap: Of the object; computed here if None.
-        score: Steered scores; the heatmap's own if None. They are scaled so that half of the best
-            counts, and no fewer than `STEERED_LEAST` candidates do.
+        score: Of an anchor, see `steered_candidates`; the heatmap's own if None.
         count: Candidates, the best by score.
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
-    score = None if score is None else steered_scores(heatmap, jnp.asarray(score))
+    if score is None:
+        candidates = from_heatmap(heatmap, None, count)
+    else:
+        candidates = steered_candidates(heatmap, jnp.asarray(score), count)
     weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
-    return Known(collision_field(obj), from_heatmap(heatmap, score, count), weight, com)
+    return Known(collision_field(obj), candidates, weight, com)
+
+
+def steered_candidates(
+    heatmap: Heatmap, score: Float[Array, " v"], count: int = CANDIDATES
+) -> Candidates:
+    """Those a steered grasp chooses among: half of them the anchor's best, with `steered_scores`.
+
+    The other half are the best of the heatmap itself, with no score at all: for when nothing near
+    the anchor is within reach.
+
+    Args:
+        heatmap: Of the object.
+        score: Of its vertices, by an anchor.
+        count: How many.
+    """
+    scaled = jnp.where(heatmap.valid, steered_scores(heatmap, score), 0.0)
+    _, best = jax.lax.top_k(scaled, min(count // 2, len(scaled)))
+    near = jnp.zeros(len(scaled), bool).at[best].set(True) & (scaled > 0)
+    ranked = from_heatmap(heatmap, jnp.where(near, 2.0 + scaled, heatmap.score), count)
+    return ranked._replace(score=jnp.maximum(ranked.score - 2.0, 0.0))
 
 
 def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:

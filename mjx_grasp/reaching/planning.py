@@ -70,6 +70,9 @@ class PlanConfig(Settings):
     """the same of the finger that stays farthest from its contact when it closes [m]"""
     touch_weight: NonNegative = 0.0
     """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
+    lesser_scores: tuple[NonNegative, ...] = ()
+    """where no posture is found for candidates of the selection's least score: the least scores
+    with which they are looked for then, one after the other [-]"""
     approach: Approach = "any"
     """where the palm is to come from: straight from above or level, give or take the angle below"""
     approach_angle: Positive = 0.8
@@ -165,6 +168,38 @@ class Planner:
             q: Present configuration, [rad].
             key: Chooses among the library's entries around the object.
         """
+        enough = self.reacher.selection.min_score
+
+        def among(least: Float[Array, ""]) -> Search:
+            raised = jnp.maximum(candidates.score, enough)
+            score = jnp.where(candidates.valid & (candidates.score >= least), raised, 0.0)
+            return self._search(library, candidates._replace(score=score), around, q, key)
+
+        if not self.config.lesser_scores:
+            return self._search(library, candidates, around, q, key)
+        least = jnp.asarray((enough, *self.config.lesser_scores), jnp.float32)
+
+        def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
+            return (tried[0] < len(least)) & (tried[1].cost[0] >= _FAILED)
+
+        def again(tried: tuple[Int[Array, ""], Search]) -> tuple[Int[Array, ""], Search]:
+            return tried[0] + 1, among(least[tried[0]])
+
+        nothing = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0])
+        )
+        nothing = nothing._replace(cost=jnp.full_like(nothing.cost, jnp.inf))
+        return jax.lax.while_loop(in_vain, again, (jnp.int32(0), nothing))[1]
+
+    def _search(
+        self,
+        library: Library,
+        candidates: Candidates,
+        around: Surroundings,
+        q: Float[Array, " joints"],
+        key: Array,
+    ) -> Search:
+        """The same among the candidates of the selection's least score."""
         plan, body = self.config, self.reacher.body
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options

@@ -18,11 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_grasp.evaluation.grasps.problems import draw_problem
-from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.language.grounding import Target, target_of
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.assemble import CANDIDATES, known_object, steered_scores
+from mjx_grasp.pipeline.assemble import known_object, steered_candidates
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.sim.scene import OBJECT_BODY, TABLE_GEOM
 from mjx_grasp.viz.demo.plots import FINGERS
@@ -226,8 +225,7 @@ class LiveViewer:
             return
         self._stopped.clear()
         subject = self._subjects[self._name]
-        steered = steered_scores(subject.stored.heatmap, jnp.asarray(score))
-        candidates = from_heatmap(subject.stored.heatmap, steered, CANDIDATES)
+        candidates = steered_candidates(subject.stored.heatmap, jnp.asarray(score))
         self._say("planning")
         self.live.start(subject.known._replace(candidates=candidates))
         self._show_marks(running=True)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,12 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
-from mjx_grasp.pipeline.assemble import STEERED_LEAST, STEERED_SCORE, steered_scores
+from mjx_grasp.pipeline.assemble import (
+    STEERED_LEAST,
+    STEERED_SCORE,
+    steered_candidates,
+    steered_scores,
+)
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
@@ -24,6 +30,7 @@ from mjx_grasp.pipeline.state import Known, Seen
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import midpoint
+from mjx_grasp.reaching.planning import PlanConfig, Planner
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.tasks.closing import ClosingTask
@@ -358,6 +365,71 @@ def test_steered_scores_count_from_half_of_the_best_and_no_fewer_than_some():
     many = jnp.linspace(0.2, 0.1, 200)
     np.testing.assert_allclose(steered_scores(heatmap, many), many / 0.2, rtol=1e-6)
     assert not np.any(steered_scores(heatmap, jnp.zeros(200)))
+
+
+class _Seen(NamedTuple):
+    """What candidates are made of."""
+
+    thumb: jax.Array
+    normals: jax.Array
+    wrap: jax.Array
+    wrap_normals: jax.Array
+    axis: jax.Array
+    width: jax.Array
+    score: jax.Array
+    valid: jax.Array
+
+
+@pytest.mark.wrong_types
+def test_half_of_a_steered_grasps_candidates_are_the_anchors_best():
+    n, some = 40, jnp.arange(40)
+    points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
+    wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))
+    own = jnp.linspace(0.1, 1.0, n)  # the anchor is at the other end
+    heatmap = _Seen(points, points, wrap, wrap, points, jnp.ones(n), own, some != 39)
+    found = steered_candidates(heatmap, own[::-1] ** 8, 16)
+    chosen = np.asarray(found.thumb[:, 0]).astype(int)
+    assert chosen.tolist() == [*range(8), *range(38, 30, -1)] and np.all(found.valid)
+    assert found.score[0] == 1 and np.all(np.diff(found.score[:8]) <= 0)
+    assert not np.any(found.score[8:])
+
+
+class _Finds(Planner):
+    """Finds a posture for every candidate of enough score that its `thumb` says is within reach."""
+
+    def _search(self, library, candidates, around, q, key):
+        least = self.reacher.selection.min_score
+        possible = (candidates.score >= least) & (candidates.thumb[:, 0] > 0)
+        cost = jnp.where(possible, 1.0 + 0.1 * jnp.arange(len(possible)), 1e4)
+        best = jnp.argsort(cost)[:2]
+        return _Found(cost[best], best)
+
+
+class _Found(NamedTuple):
+    cost: jax.Array
+    plans: jax.Array
+
+
+@pytest.mark.wrong_types
+def test_lesser_candidates_are_looked_at_only_where_the_better_ones_are_out_of_reach():
+    selection = SimpleNamespace(min_score=0.5)
+    planner = _Finds(
+        SimpleNamespace(selection=selection), replace(PlanConfig(), lesser_scores=(0.1, 0.0))
+    )
+    score = jnp.array([0.05, 0.2, 0.6, 0.9])
+    valid = jnp.ones(4, bool)
+
+    @jax.jit
+    def search(reachable):
+        candidates = SimpleNamespace(score=score, valid=valid, thumb=reachable[:, None])
+        candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+        return planner.search(0, candidates, None, None, None)
+
+    for reachable, expected in (
+        ([1, 1, 0, 1], 3), ([1, 1, 1, 1], 2), ([1, 1, 0, 0], 1), ([1, 0, 0, 0], 0),
+    ):  # fmt: skip
+        assert search(jnp.array(reachable)).plans[0] == expected
+    assert search(jnp.zeros(4, int)).cost[0] == 1e4, "nothing is within reach at all"
 
 
 def test_a_start_is_of_the_type_of_what_follows_so_that_a_loop_compiles_once(make, known, home):

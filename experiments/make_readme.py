@@ -85,6 +85,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "grasps": stage_tables.whole_grasps(folder / "scenarios.json"),
             "scenarios": stage_tables.scenarios(folder / "scenarios.json"),
+            "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": stage_tables.grasper_speed(folder / "grasper_cpu.json"),
             "route": stage_tables.route(folder / "route.json"),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),

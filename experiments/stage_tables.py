@@ -208,6 +208,19 @@ def scenarios(path: Path) -> str:
     return markdown(Table("Scenarios", header, tuple(lines)))
 
 
+def foreign_meshes(path: Path) -> str:
+    """What came of meshes that no catalogue has."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = tuple(
+        (name, row["refused"] or f"{row['outcome'].replace('_', ' ')}, "
+         + (f"lifted after {row['lifted_s']:.1f} s" if row["lifted_s"] else "not lifted"))
+        for name, row in d["meshes"].items()
+    )  # fmt: skip
+    return markdown(Table("Foreign meshes", ("mesh", "what came of it"), rows, names=2))
+
+
 def grasper_speed(path: Path) -> str:
     """How long a tick of the controller and a search for plans take."""
     d = read(path)

@@ -96,6 +96,20 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
     assert lines[-1] == "| all | 2 | contacts | 10.0 | 12.0 | 100 | 50.0 | 2.0 |"
 
 
+def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    held = {"refused": None, "outcome": "never_lifted", "lifted_s": None, "force_mean_n": 1.0}
+    meshes = {"cone": held, "crate": {"refused": "too large"}}
+    meshes |= {"ring": held | {"outcome": "success", "lifted_s": 4.24}}
+    path = tmp_path / "foreign.json"
+    path.write_text(json.dumps({"schema": "mjx_grasp.foreign_meshes/1", "meshes": meshes}))
+    assert script("stage_tables").foreign_meshes(path).splitlines()[2:] == [
+        "| cone | never lifted, not lifted |",
+        "| crate | too large |",
+        "| ring | success, lifted after 4.2 s |",
+    ]
+
+
 def test_each_picture_of_steering_has_a_scale_of_its_own(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     figure = script("steering_figure")

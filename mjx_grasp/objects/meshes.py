@@ -84,7 +84,8 @@ def repair(
             path,
             f"a surface open beyond repair ({int((counts == 1).sum())} open edges, "
             f"{int((counts > 2).sum())} edges with more than two faces, {dropped} faces dropped)",
-            "a closed surface, or one with small holes",
+            "a closed surface, or one with small holes; close it, or unite its bodies, in a mesh "
+            "editor",
         )
     mesh = trimesh.Trimesh(vertices, _outward(vertices, faces), process=False)
     mesh.remove_unreferenced_vertices()

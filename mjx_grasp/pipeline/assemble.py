@@ -25,7 +25,7 @@ from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import PlanConfig, Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.spec import HandSpec, RobotSpec
 
 CANDIDATES = 256
 """Of a heatmap, the best, among which reaching chooses."""
@@ -132,6 +132,26 @@ def known_object(
         candidates = steered_candidates(heatmap, jnp.asarray(score), count)
     weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
+
+
+def check_graspable(name: str, best: float, hand: HandSpec) -> None:
+    """Refuses an object before anything long starts.
+
+    Args:
+        name: Of the object.
+        best: Its best score.
+        hand: That is to grasp it.
+
+    Raises:
+        InputError: Nothing of it has a score.
+    """
+    if best <= 0:
+        narrow, wide = (1e3 * length for length in hand.span)
+        raise InputError(
+            "object",
+            name,
+            f"one with a place {narrow:.0f} to {wide:.0f} mm wide for thumb and fingers to oppose",
+        )
 
 
 def steered_candidates(

@@ -20,6 +20,7 @@ from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.pipeline.assemble import (
     STEERED_LEAST,
     STEERED_SCORE,
+    check_graspable,
     steered_candidates,
     steered_scores,
 )
@@ -430,6 +431,12 @@ def test_lesser_candidates_are_looked_at_only_where_the_better_ones_are_out_of_r
     ):  # fmt: skip
         assert search(jnp.array(reachable)).plans[0] == expected
     assert search(jnp.zeros(4, int)).cost[0] == 1e4, "nothing is within reach at all"
+
+
+def test_an_object_that_can_be_grasped_nowhere_is_refused_by_name_with_the_hands_span(robot):
+    check_graspable("a mug", 0.1, robot.hand)
+    with pytest.raises(InputError, match=r"object: found 'crate\.stl', expected one with a place"):
+        check_graspable("crate.stl", 0.0, robot.hand)
 
 
 def test_a_start_is_of_the_type_of_what_follows_so_that_a_loop_compiles_once(make, known, home):

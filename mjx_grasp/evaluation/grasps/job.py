@@ -21,7 +21,7 @@ from mjx_grasp.evaluation.grasps.rollout import grasp_all, home_tips
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.planning import start_library
@@ -127,7 +127,10 @@ def _run(
     trials = config.episodes * len(makers.objects(Scenario())) // len(objects)
     away = Away(home_tips(grasper), scenario.away) if scenario.away else None
     problem = draw_problem(objects, trials, config.seed, away=away)
-    known = known_of([known_object(obj, makers.robot) for obj in objects], problem)
+    each = [known_object(obj, makers.robot) for obj in objects]
+    for obj, of in zip(objects, each, strict=True):
+        check_graspable(obj.name, float(of.candidates.score.max()), makers.robot.hand)
+    known = known_of(each, problem)
     end, trace = grasp_all(
         grasper, library, makers.world(scenario), known, problem, scenario, config.seed,
         lambda share: bar.update(job, completed=round(_PERCENT * share)),

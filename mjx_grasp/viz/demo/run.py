@@ -29,12 +29,12 @@ from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.robot.spec import HandSpec, load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import Scene, build_scene
 from mjx_grasp.viz.demo.config import DemoConfig
@@ -108,14 +108,15 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
         with clock.step("heatmap"):
-            steered = _steered(heatmap_of(obj, robot.hand), place, config)
+            steered = _steered(heatmap_of(obj, robot.hand), place, config, robot.hand)
         with clock.step("start library"):
             library = start_library(grasper.reacher.body, grasper.planner.config)
         with clock.step("plan and grasp"):
             away = Away(home_tips(grasper), scenario.away) if scenario.away else None
             problem = draw_problem([obj], 1, config.seed, away=away)
             scene = build_scene([obj], robot)
-            known = [known_object(obj, robot, steered.heatmap, jnp.asarray(steered.score))]
+            score = jnp.asarray(steered.score) if config.steers else None
+            known = [known_object(obj, robot, steered.heatmap, score)]
             physics = NativePhysics(scene, grasper.dt, threads=1)
             end, trace = grasp_all(
                 grasper, library, physics, known_of(known, problem), problem, scenario, config.seed
@@ -168,14 +169,13 @@ def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
     return replace(found, source=f"“{config.instruction}” ({found.source})")
 
 
-def _steered(heatmap: Heatmap, place: Anchor | None, config: DemoConfig) -> Steered:
+def _steered(heatmap: Heatmap, place: Anchor | None, config: DemoConfig, hand: HandSpec) -> Steered:
     score, anchor, source = heatmap.score, None, "anywhere good"
     if place is not None:
         anchor, source = place.point, place.source
         score = steer_to(heatmap, anchor, place.size, config.sigma, config.steering)
     best = float(jnp.max(score))
-    if best <= 0:
-        raise InputError("object", config.object, "one that this hand can grasp there")
+    check_graspable(config.object, best, hand)
     # Far from the middle of the object all scores are low: what counts is which is the best.
     return Steered(heatmap, np.asarray(score / best, np.float64), anchor, source)
 

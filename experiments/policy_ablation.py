@@ -133,6 +133,7 @@ def _sums(trials: Trials, objects: int) -> dict[str, Any]:
 
 def main(config: AblationConfig) -> None:
     """Evaluates the runs, one after the other."""
+    made = provenance(config.seed)
     settings = {folder: stored_config(folder) for folder in config.runs}
     for folder in config.runs:
         if not (folder / "policy.npz").exists():
@@ -147,19 +148,18 @@ def main(config: AblationConfig) -> None:
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("runs", total=len(settings))
         for folder, trained in settings.items():
-            made = read_json(folder / "provenance.json", "the provenance of a run")
             rows[folder.name] = {
                 "run": folder.name,
                 "changes": changes(trained),
                 "seed": trained.seed,
-                "trained": made,
+                "trained": read_json(folder / "provenance.json", "the provenance of a run"),
                 "evaluations": evaluated(world, folder / "policy.npz", config),
             }
             record = {
                 "schema": SCHEMA,
                 "settings": to_record(config),
                 "rows": list(rows.values()),
-                "provenance": provenance(config.seed),
+                "provenance": made,
             }
             write_json(config.out, record)
             bar.update(job, advance=1)

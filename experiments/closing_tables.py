@@ -15,6 +15,7 @@ from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table
+from mjx_grasp.evaluation.handoff_tables import tip_error_table
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
     Column,
@@ -25,6 +26,7 @@ from mjx_grasp.evaluation.tables import (
     force_table,
     read_groups,
 )
+from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.records.table import Table
@@ -285,4 +287,9 @@ def shipped_handoffs(folder: Path) -> str:
                 for k, made in enumerate(steps, start=1)
             ),
         ]
+    if (d := read(folder / "handoffs_reached.json")) is not None:
+        told = ("name", "kind", "tip_error_mm")
+        reports = [ObjectReport(**{field: row[field] for field in told}) for row in d["objects"]]
+        table = tip_error_table(reports)
+        parts += [f"{table.title}:", markdown(table)]
     return "\n\n".join(parts) if parts else NOTHING

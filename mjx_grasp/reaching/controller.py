@@ -273,6 +273,8 @@ class Reacher:
         twist = _twist(state, p_wo, R_wo, dt, most)
         drift = _velocity(state.obstacles, obstacles, dt, most)
         around = Surroundings(shape, p_wo, R_wo, twist, obstacles, drift)
+        if plans is not None:
+            candidates = self._with_planned(candidates, plans, state.plan)
         targets, selection = select(
             candidates, state.selection, self.hand(motion), p_wo, R_wo, self.selection
         )
@@ -389,6 +391,15 @@ class Reacher:
         elsewhere &= ~moves | (astray > 0.5)
         in_vain = (state.tries >= number) & np.isfinite(config.replan_moved)
         return (state.outcome == ReachOutcome.RUNNING) & (elsewhere | in_vain)
+
+    def _with_planned(
+        self, candidates: Candidates, plans: Plans, number: Int[Array, ""]
+    ) -> Candidates:
+        """A planned candidate has enough score; a plan may go on to lesser ones."""
+        planned = jnp.arange(len(candidates.score)) == plans.candidate[number]
+        planned &= candidates.valid & plans.guide.known[number]
+        enough = jnp.maximum(candidates.score, self.selection.min_score)
+        return candidates._replace(score=jnp.where(planned, enough, candidates.score))
 
     def _take(self, state: ReachState, plans: Plans, number: Int[Array, ""]) -> ReachState:
         """Follows a plan: its candidate, reach direction and order of the wraps."""

@@ -18,7 +18,8 @@ from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.config import HandoffGate
-from mjx_grasp.reaching.controller import Reacher, ReachOutcome, is_ready
+from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, is_ready
+from mjx_grasp.reaching.guide import no_guide
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
 from mjx_grasp.robot.spec import load_robot
@@ -145,6 +146,26 @@ def _one_tick(reacher, q, centre):
     candidates = _candidates(reacher.body)
     state = reacher.start(q, candidates, centre, UPRIGHT)
     return reacher.tick(state, q, SHAPE, candidates, centre, UPRIGHT, NONE)[1].velocity
+
+
+def test_a_planned_candidate_is_gone_for_though_its_score_is_too_low_to_be_selected(reacher):
+    candidates = _candidates(reacher.body)
+    guide, q = no_guide(len(reacher.body.home)), jnp.asarray(reacher.body.home)
+    axis = jnp.array([[0.0, 0.0, 1.0]])
+
+    @jax.jit
+    def aimed_at(score, number, known):
+        given = candidates._replace(score=score)
+        guides = jax.tree.map(lambda leaf: leaf[None], guide._replace(known=known))
+        plans = Plans(number[None], axis, axis, guides)
+        state = reacher.start(q, given, CENTRE, UPRIGHT, plans)
+        return reacher.aim(state, q, SHAPE, given, CENTRE, UPRIGHT, NONE, plans).targets.candidate
+
+    best = aimed_at(candidates.score, jnp.int32(0), jnp.array(False))
+    low = candidates.score.at[best].set(0.0)
+    assert reacher.selection.min_score > 0.0
+    assert aimed_at(low, best, jnp.array(True)) == best
+    assert aimed_at(low, best, jnp.array(False)) != best, "nothing was found for it"
 
 
 def test_batched_is_looped(reacher):

@@ -82,7 +82,7 @@ def test_an_instruction_and_a_point_are_one_too_many():
     assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers
 
 
-def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_name():
+def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_name(robot):
     glass = replace(
         handmade.box(),
         name="wine_glass",
@@ -96,7 +96,7 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
     on_stem = {}
     for steering in ("contacts", "axis"):
         config = DemoConfig(object="wine_glass", instruction="by the stem", steering=steering)
-        steered = run._steered(heatmap, run._place(glass, config), config)
+        steered = run._steered(heatmap, run._place(glass, config), config, robot.hand)
         expected = steer_to(heatmap, at, size, steering=steering)
         assert np.allclose(steered.score, expected / expected.max(), atol=1e-6)
         assert steered.score.max() == 1.0 and "part: stem" in steered.source

@@ -12,6 +12,7 @@ from mjx_grasp.cli import run_command, starting
 def main() -> None:
     """Parses the command line, trains, evaluates, reports."""
     with starting():
+        import jax
         from rich.console import Console
 
         from mjx_grasp.training.command_line import parse
@@ -21,7 +22,7 @@ def main() -> None:
         console, config = Console(stderr=True), parse(sys.argv[1:], __doc__)
 
     folder = run_training(config, console)
-    if config.evaluation_episodes:
+    if config.evaluation_episodes and jax.process_index() == 0:
         report_run(folder, console)
 
 

@@ -41,6 +41,7 @@ LONGEST_FIRST = (
     "test_docs.py",
     "test_reached.py",
     "test_reactivity.py",
+    "test_devices.py",
     "test_planning.py",
     "test_controller.py",
     "test_training.py",

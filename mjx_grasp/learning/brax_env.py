@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from brax.envs.base import Env, State
 from jaxtyping import Array, Float
 
+from mjx_grasp.learning.devices import ONE_DEVICE, Devices
 from mjx_grasp.tasks.task import Task
 
 EPISODE_FIELDS = (
@@ -22,6 +23,8 @@ EPISODE_FIELDS = (
     "overflow",
 )
 """Fields of `State.info` that a rollout collects at every step."""
+_COMMON = ("key", "incident")
+"""Fields that are alike on every device."""
 
 
 class BraxTask(Env):
@@ -29,16 +32,28 @@ class BraxTask(Env):
 
     `State.info["incident"]` keeps the snapshot in which a world last stopped being finite, so that
     it can be written out and looked at.
+
+    Args:
+        task: With the worlds of one device.
+        worlds: How many these are.
+        stagger: Whether the first episodes end at random ticks.
+        devices: Where the worlds are. `reset` and `step` are of one of them, and run on each
+            through `Devices.each`.
     """
 
-    def __init__(self, task: Task, worlds: int, stagger: bool = True):
-        self.task, self.worlds, self._stagger = task, worlds, stagger
+    def __init__(
+        self, task: Task, worlds: int, stagger: bool = True, devices: Devices = ONE_DEVICE
+    ):
+        self.task, self.worlds, self._stagger, self.devices = task, worlds, stagger, devices
 
     @property
     def observation_size(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the observations."""
-        shapes = jax.eval_shape(self.reset, jax.random.PRNGKey(0)).obs
-        return {name: x.shape[1:] for name, x in shapes.items()}
+        task = self.task
+        _, obs = jax.eval_shape(
+            lambda key: task.start(task.draw(key, self.worlds)), jax.random.PRNGKey(0)
+        )
+        return {name: x.shape[1:] for name, x in obs.items()}
 
     @property
     def action_size(self) -> int:
@@ -54,10 +69,12 @@ class BraxTask(Env):
         """Fresh worlds; with `stagger` their first episodes end at random ticks."""
         key, draw_key, clock_key = jax.random.split(rng, 3)
         task = self.task
-        state, obs = task.start(task.draw(draw_key, self.worlds))
+        own_key = self.devices.own_key
+        state, obs = task.start(task.draw(own_key(draw_key), self.worlds))
         deadline = jnp.full(self.worlds, task.episode_ticks, jnp.int32)
         if self._stagger:
-            deadline = jax.random.randint(clock_key, (self.worlds,), 1, task.episode_ticks + 1)
+            ends = 1, task.episode_ticks + 1
+            deadline = jax.random.randint(own_key(clock_key), (self.worlds,), *ends)
         zeros = jnp.zeros(self.worlds)
         info: dict[str, Any] = dict.fromkeys(EPISODE_FIELDS, zeros)
         info |= {
@@ -103,20 +120,40 @@ class BraxTask(Env):
             "broken": tick.broken.astype(jnp.float32),
             "overflow": tick.overflow.astype(jnp.float32),
         }
-        after, obs = task.reset(after, done, task.draw(draw_key, self.worlds))
+        draw = task.draw(self.devices.own_key(draw_key), self.worlds)
+        after, obs = task.reset(after, done, draw)
         return State(after, obs, reward, done.astype(jnp.float32), {}, info)
 
+    def incident(self, state: State) -> dict[str, Array]:
+        """The snapshot in which a world last stopped being finite, from whichever device."""
+        return self.devices.first(state.info["incident"])
+
     def pack(self, state: State) -> dict[str, Any]:
-        """A state as arrays for a checkpoint."""
-        return {
-            "task": self.task.pack(state.pipeline_state),
-            "brax": (state.obs, state.reward, state.done, state.info),
-        }
+        """A state as arrays for a checkpoint: the worlds of all devices one after the other."""
+
+        def on_one(_: Any, state: State) -> tuple[Any, Any]:
+            info = dict(state.info)
+            common = {name: info.pop(name) for name in _COMMON}
+            task = self.task.pack(state.pipeline_state)
+            return common, (task, (state.obs, state.reward, state.done, info))
+
+        common, own = self.devices.each(on_one)((), state)
+        task, (*others, info) = self.devices.joined(own)
+        return {"task": task, "brax": (*others, info | common)}
 
     def unpack(self, packed: dict[str, Any]) -> State:
-        """The state that `pack` described."""
+        """The state that `pack` described, on as many devices as there are now."""
         obs, reward, done, info = packed["brax"]
-        return State(self.task.unpack(packed["task"]), obs, reward, done, {}, info)
+        common = {name: info[name] for name in _COMMON}
+        others = {name: x for name, x in info.items() if name not in _COMMON}
+
+        def on_one(common: Any, own: Any) -> tuple[Any, State]:
+            task, (obs, reward, done, info) = own
+            state = State(self.task.unpack(task), obs, reward, done, {}, info | common)
+            return (), state
+
+        own = self.devices.split((packed["task"], (obs, reward, done, others)))
+        return self.devices.each(on_one)(common, own)[1]
 
 
 def _first_world(snapshot: dict[str, Array], index: Array) -> dict[str, Array]:

@@ -18,13 +18,13 @@ import orbax.checkpoint as ocp
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.learning.ppo import TrainState
+from mjx_grasp.learning.devices import Devices
+from mjx_grasp.learning.ppo import TrainState, learner_of
 from mjx_grasp.records.atomic import read_json, write_json
 
 _MANIFEST = "manifest.json"
 _VERSION = 2
 """1: one item `state` with everything, and a manifest of the files alone."""
-_LEARNER = tuple(name for name in TrainState._fields if name != "env")
 _NAME = re.compile(r"^iteration_(\d+)$")
 
 
@@ -37,6 +37,8 @@ def save_checkpoint(
 ) -> Path:
     """Writes `folder/iteration_N`, complete or not at all, and drops all but the newest `keep`.
 
+    Of several processes, which all have to call this, each writes what it has.
+
     Args:
         folder: Folder of the run's checkpoints.
         state: The training state, the environments' own included.
@@ -46,24 +48,28 @@ def save_checkpoint(
     """
     folder = Path(folder).resolve()
     path = folder / f"iteration_{int(state.iteration):08d}"
-    if path.exists():
+    writes = env.devices.writes
+    if path.exists() and writes:
         shutil.rmtree(path)
-    worlds = env.pack(state.env)
+    env.devices.wait(f"before {path.name}")
+    worlds = jax.jit(env.pack)(state.env)
     with ocp.Checkpointer(
         ocp.CompositeCheckpointHandler("learner", "worlds", "config")
     ) as checkpointer:  # writes to a temporary folder, then renames
         checkpointer.save(
             path,
             ocp.args.Composite(
-                learner=ocp.args.StandardSave(_learner(state)),
+                learner=ocp.args.StandardSave(learner_of(state)),
                 worlds=ocp.args.StandardSave(worlds),
                 config=ocp.args.JsonSave(config),
             ),
         )
-    manifest = {"version": _VERSION, "worlds": _layout(worlds), "files": _digests(path)}
-    write_json(path / _MANIFEST, manifest)
-    for old in checkpoints(folder)[:-keep]:
-        shutil.rmtree(old)
+    if writes:
+        manifest = {"version": _VERSION, "worlds": _layout(worlds), "files": _digests(path)}
+        write_json(path / _MANIFEST, manifest)
+        for old in checkpoints(folder)[:-keep]:
+            shutil.rmtree(old)
+    env.devices.wait(f"after {path.name}")
     return path
 
 
@@ -110,21 +116,23 @@ def restore_checkpoint(
     manifest = _checked_manifest(path)
     try:
         item = "state" if manifest["version"] == 1 else "learner"
-        learner = _restored(path, item, _learner(template))
+        learner = _restored(path, item, learner_of(template), env.devices)
     except Exception as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise FileError(
             path, f"a checkpoint that cannot be restored ({first[:200]})", "an undamaged checkpoint"
         ) from error
-    worlds = env.pack(template.env)
+    worlds = jax.eval_shape(env.pack, template.env)
     if manifest.get("worlds") != _layout(worlds):
         return TrainState(**learner, env=template.env), False
-    return TrainState(**learner, env=env.unpack(_restored(path, "worlds", worlds))), True
+    stood = _restored(path, "worlds", worlds, env.devices)
+    return TrainState(**learner, env=jax.jit(env.unpack)(stood)), True
 
 
-def _restored(path: Path, item: str, like: Any) -> Any:
+def _restored(path: Path, item: str, like: Any, devices: Devices) -> Any:
     """An item of a checkpoint in the form of `like`; what else it holds is left alone."""
-    shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+    to = devices.everywhere
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=to), like)
     with ocp.Checkpointer(ocp.CompositeCheckpointHandler(item)) as checkpointer:
         asked = ocp.args.PyTreeRestore(
             item=shapes,
@@ -180,7 +188,3 @@ def _looked_at(path: Path) -> tuple[dict[str, Any], str | None]:
     found = _digests(path)
     changed = sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))
     return manifest, f"damaged or missing files ({', '.join(changed[:3])})" if changed else None
-
-
-def _learner(state: TrainState) -> dict[str, Any]:
-    return {name: getattr(state, name) for name in _LEARNER}

@@ -73,6 +73,20 @@ class MetricLog:
             self._wandb.finish()
 
 
+class NoLog:
+    """The log of a process beside the one that writes."""
+
+    def number_of_last(self, name: str) -> float:
+        """Nothing has been kept."""
+        return 0.0
+
+    def write(self, row: dict[str, float]) -> None:
+        """Goes nowhere."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
 def _rows_until(path: Path, iteration: int) -> list[dict[str, str]]:
     if not path.is_file():
         return []

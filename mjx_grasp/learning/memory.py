@@ -27,15 +27,18 @@ def bytes_per_world(scene: Scene, unroll: int) -> int:
     return _COPIES * state + fields + 4 * _TRANSITION_NUMBERS * unroll
 
 
-def worlds_that_fit(scene: Scene, ppo: PPOConfig, memory_bytes: int) -> int:
-    """The worlds that are asked for, or the power of two that four fifths of the memory hold."""
+def worlds_that_fit(scene: Scene, ppo: PPOConfig, memory_bytes: int, devices: int = 1) -> int:
+    """The worlds that are asked for, or as many as fit.
+
+    On each device these are the power of two that four fifths of its memory hold.
+    """
     fit = int(0.8 * memory_bytes / bytes_per_world(scene, ppo.unroll))
-    return min(ppo.worlds, 2 ** int(math.log2(max(fit, ppo.minibatches))))
+    return min(ppo.worlds, devices * 2 ** int(math.log2(max(fit, ppo.minibatches))))
 
 
 def device_memory() -> int:
     """Memory of JAX's first device [bytes]; the machine's own where JAX does not say."""
-    stats = jax.devices()[0].memory_stats()
+    stats = jax.local_devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
         return int(stats["bytes_limit"])
     import os

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.devices import Devices
 
 
 class TrainState(NamedTuple):
@@ -82,18 +83,29 @@ def init_state(config: PPOConfig, env: BraxTask, seed: int) -> TrainState:
         params=params,
         optimizer=make_optimizer(config).init(params),
         normalizer=running_statistics.init_state(shapes),
-        env=jax.jit(env.reset)(env_key),
+        env=jax.jit(env.devices.each(lambda key, _: ((), env.reset(key))))(env_key, ())[1],
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
     # Weakly typed leaves would make the second iteration compile anew.
-    return jax.tree.map(lambda x: jax.lax.convert_element_type(x, jnp.result_type(x)), state)
+    state = jax.tree.map(lambda x: jax.lax.convert_element_type(x, jnp.result_type(x)), state)
+    return state._replace(**env.devices.common(learner_of(state)))
+
+
+def learner_of(state: TrainState) -> dict[str, Any]:
+    """All of a training but its worlds."""
+    return {name: getattr(state, name) for name in TrainState._fields if name != "env"}
 
 
 def make_iteration(
     config: PPOConfig, env: BraxTask
 ) -> Callable[[TrainState], tuple[TrainState, Metrics]]:
-    """One PPO iteration: a rollout, then epochs of minibatches. To be jitted by the caller."""
+    """One PPO iteration: a rollout, then epochs of minibatches. To be jitted by the caller.
+
+    Every device rolls out its own worlds and takes minibatches of them; gradients, divergence,
+    statistics and metrics are those of all.
+    """
+    devices = env.devices
     nets = make_networks(config, env)
     optimizer = make_optimizer(config)
     make_policy = networks.make_inference_fn(nets, compute_value=config.value_clip is not None)
@@ -115,7 +127,7 @@ def make_iteration(
     def minibatch_step(carry: _Carry, data: Any, normalizer: Any) -> tuple[_Carry, Metrics]:
         optimizer_state, params, key = carry
         key, loss_key = jax.random.split(key)
-        (_, metrics), gradient = loss_and_gradient(params, normalizer, data, loss_key)
+        (_, metrics), gradient = devices.mean(loss_and_gradient(params, normalizer, data, loss_key))
         if config.desired_kl is not None:
             optimizer_state, _ = ppo_optimizer.adaptive_kl_learning_rate(
                 optimizer_state, metrics["kl_mean"], config.desired_kl
@@ -133,7 +145,7 @@ def make_iteration(
     ) -> tuple[_Carry, dict[str, Float[Array, " minibatches"]]]:
         optimizer_state, params, key = carry
         key, order_key, step_key = jax.random.split(key, 3)
-        order = jax.random.permutation(order_key, config.worlds)
+        order = jax.random.permutation(order_key, env.worlds)
 
         def shuffled(x: Array) -> Array:
             return x[order].reshape(config.minibatches, -1, *x.shape[1:])
@@ -144,11 +156,17 @@ def make_iteration(
         )
         return (optimizer_state, params, key), metrics
 
-    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
+    def on_one(learner: Any, env_state: State) -> tuple[Any, State]:
+        state = TrainState(**learner, env=env_state)
         key, rollout_key, sgd_key = jax.random.split(state.key, 3)
         policy = make_policy((state.normalizer, state.params.policy, state.params.value))
         env_state, data = acting.generate_unroll(
-            env, state.env, policy, rollout_key, config.unroll, extra_fields=EPISODE_FIELDS
+            env,
+            state.env,
+            policy,
+            devices.own_key(rollout_key),
+            config.unroll,
+            extra_fields=EPISODE_FIELDS,
         )
         data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
         (optimizer_state, params, _), training = jax.lax.scan(
@@ -158,13 +176,22 @@ def make_iteration(
         )
         # After the updates: the KL that adapts the learning rate compares with the old outputs.
         normalizer = running_statistics.update(
-            state.normalizer, data.observation, std_min_value=_SMALLEST_STD
+            state.normalizer,
+            data.observation,
+            std_min_value=_SMALLEST_STD,
+            pmap_axis_name=devices.axis,
         )
-        metrics = _rollout_metrics(data, env.task.reward_names) | jax.tree.map(jnp.mean, training)
-        return (
-            TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1),
-            metrics,
-        )
+        metrics = _rollout_metrics(devices, data, env.task.reward_names)
+        metrics |= jax.tree.map(jnp.mean, training)
+        broken = jnp.sum(data.extras["state_extras"]["broken"])
+        incident = devices.that_of_most(env_state.info["incident"], broken)
+        env_state = env_state.replace(info=env_state.info | {"incident": incident})
+        done = TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1)
+        return (learner_of(done), metrics), env_state
+
+    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
+        (learner, metrics), env_state = devices.each(on_one)(learner_of(state), state.env)
+        return TrainState(**learner, env=env_state), metrics
 
     return iterate
 
@@ -174,24 +201,27 @@ def reward_columns(names: Sequence[str]) -> dict[str, str]:
     return {name: f"reward/{name}" for name in names}
 
 
-def _rollout_metrics(data: Any, reward_names: Sequence[str]) -> Metrics:
+def _rollout_metrics(devices: Devices, data: Any, reward_names: Sequence[str]) -> Metrics:
     """Sums and means over a rollout, episodes counted where they ended."""
     info = data.extras["state_extras"]
-    episodes = jnp.sum(info["episode_done"])
+    episodes = devices.sum(jnp.sum(info["episode_done"]))
     count = jnp.maximum(episodes, 1.0)
 
+    def total(name: str) -> Array:
+        return devices.sum(jnp.sum(info[name]))
+
     def per_episode(name: str) -> Array:
-        return jnp.where(episodes > 0, jnp.sum(info[name]) / count, jnp.nan)
+        return jnp.where(episodes > 0, total(name) / count, jnp.nan)
 
     return {
-        "reward": jnp.mean(data.reward),
+        "reward": devices.mean(jnp.mean(data.reward)),
         "episodes": episodes,
         "return": per_episode("episode_reward"),
         "success": per_episode("episode_success"),
         "force_n": per_episode("episode_force"),
-        "broken_worlds": jnp.sum(info["broken"]),
-        "overflows": jnp.sum(info["overflow"]),
+        "broken_worlds": total("broken"),
+        "overflows": total("overflow"),
     } | {
-        column: jnp.mean(info["reward_terms"][..., k])
+        column: devices.mean(jnp.mean(info["reward_terms"][..., k]))
         for k, column in enumerate(reward_columns(reward_names).values())
     }

@@ -26,7 +26,7 @@ from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import checkpoints, save_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.interrupt import InterruptGuard
-from mjx_grasp.learning.log import MetricLog
+from mjx_grasp.learning.log import MetricLog, NoLog
 from mjx_grasp.learning.ppo import TrainState, make_iteration, reward_columns
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.settings import Count, NonNegative, Settings
@@ -77,29 +77,38 @@ def train_loop(
 ) -> TrainState:
     """Runs the iterations that are left and returns the final state.
 
+    Of several processes, which all run it, the first one writes and talks.
+
     Raises:
         TrainingDiverged: A NaN in loss or parameters. The state before it was checkpointed, the
             one after it is in `diverged.npz`.
         KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
-    iteration = jax.jit(make_iteration(ppo, env), donate_argnums=0)
+    devices = env.devices
+    # Donated arguments are reported to hang MJX on several devices (MuJoCo issue 2980).
+    given = 0 if devices.count == 1 else ()
+    iteration = jax.jit(make_iteration(ppo, env), donate_argnums=given)
     start = int(state.iteration)
     columns = (*COLUMNS, *reward_columns(env.task.reward_names).values())
-    log = MetricLog(folder, columns, start, loop.wandb_project, run_config)
+    log: MetricLog | NoLog = (
+        MetricLog(folder, columns, start, loop.wandb_project, run_config)
+        if devices.writes
+        else NoLog()
+    )
     saved = time.monotonic()
     began = saved - log.number_of_last("seconds")
     recent: dict[str, deque[float]] = {
         n: deque(maxlen=20) for n in ("return", "success", "force_n")
     }
     counted = {"broken_worlds": 0.0, "overflows": 0.0}
-    with InterruptGuard() as interrupt, closing(log), _progress() as progress:
+    with InterruptGuard() as interrupt, closing(log), _progress(devices.writes) as progress:
         task = progress.add_task("training (compiling)", total=ppo.iterations, completed=start)
         for i in range(start, ppo.iterations):
             tick = time.monotonic()
             state, metrics = iteration(state)
             row = {name: float(x) for name, x in jax.device_get(metrics).items()}
             now = time.monotonic()
-            _guard(folder, state, row)
+            _guard(folder, state, row, devices.writes)
             row |= {
                 "iteration": i + 1,
                 "env_steps": (i + 1) * ppo.steps_per_iteration,
@@ -112,15 +121,15 @@ def train_loop(
                     values.append(row[name])
             for name in counted:
                 counted[name] += row[name]
-            if row["broken_worlds"]:
-                _dump_incident(folder, state, i + 1)
+            if row["broken_worlds"] and devices.writes:
+                _dump_incident(folder, state, env, i + 1)
             progress.update(task, completed=i + 1, description=_describe(row, recent, counted))
-            due = (
+            due, stop = devices.agreed(
                 (i + 1) % loop.checkpoint_every == 0
                 if loop.checkpoint_every
-                else now - saved > loop.checkpoint_every_s
+                else now - saved > loop.checkpoint_every_s,
+                interrupt.requested,
             )
-            stop = interrupt.requested
             if due or stop or i + 1 == ppo.iterations:
                 save_checkpoint(folder / "checkpoints", state, env, run_config)
                 saved = time.monotonic()
@@ -129,7 +138,7 @@ def train_loop(
     return state
 
 
-def _progress() -> Progress:
+def _progress(shown: bool = True) -> Progress:
     """One line; where it is narrow the bar shrinks, then the description wraps."""
 
     def whole() -> Column:
@@ -144,6 +153,7 @@ def _progress() -> Progress:
         TimeRemainingColumn(table_column=whole()),
         refresh_per_second=2,
         expand=True,
+        disable=not shown,
     )
 
 
@@ -164,7 +174,7 @@ def _describe(
     return text
 
 
-def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
+def _guard(folder: Path, state: TrainState, row: dict[str, float], writes: bool) -> None:
     """Stops a training whose numbers are no numbers, before they reach a checkpoint.
 
     Raises:
@@ -177,7 +187,8 @@ def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
     if finite:
         return
     path = folder / "diverged.npz"
-    _save_arrays(path, {"params": state.params, "normalizer": state.normalizer})
+    if writes:
+        _save_arrays(path, {"params": state.params, "normalizer": state.normalizer})
     kept = checkpoints(folder / "checkpoints")
     newest = kept[-1].name if kept else "none yet"
     raise TrainingDiverged(
@@ -187,9 +198,9 @@ def _guard(folder: Path, state: TrainState, row: dict[str, float]) -> None:
     )
 
 
-def _dump_incident(folder: Path, state: TrainState, iteration: int) -> None:
+def _dump_incident(folder: Path, state: TrainState, env: BraxTask, iteration: int) -> None:
     """Writes the state from which a world stopped being finite."""
-    _save_arrays(folder / f"broken_world_{iteration:08d}.npz", state.env.info["incident"])
+    _save_arrays(folder / f"broken_world_{iteration:08d}.npz", env.incident(state.env))
 
 
 def _save_arrays(path: Path, tree: Any) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -53,6 +54,7 @@ class NativePhysics:
         self.substeps = check_control_rate(scene, control_dt)
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
+        self._alone = threading.Lock()
         singles = (
             [scene]
             if len(scene.objects) == 1
@@ -152,7 +154,8 @@ class NativePhysics:
                 world = mine[int(params.object_index[w])]
                 world.step(w, state, friction, mass_scale, wrenches[w], out)
 
-        list(self._pool.map(run, range(self._threads)))
+        with self._alone:  # several devices of JAX may call at once, and share the models
+            list(self._pool.map(run, range(self._threads)))
         return out
 
 

@@ -9,13 +9,15 @@ from pathlib import Path
 import tyro
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.learning.devices import RunOn, join_hosts
 from mjx_grasp.training.config import TrainConfig, preset_config, stored_config
 
 
 def parse(argv: list[str], description: str | None = None) -> TrainConfig:
     """The configuration of a command line: the preset's, changed by the flags.
 
-    A resumed run takes its stored configuration and nothing else.
+    A resumed run takes its stored configuration and nothing else but where it runs. With a
+    coordinator the processes meet here, before anything asks JAX for its devices.
 
     Args:
         argv: What follows the command's name.
@@ -23,16 +25,19 @@ def parse(argv: list[str], description: str | None = None) -> TrainConfig:
 
     Raises:
         FileError: The run to resume has no configuration.
-        InputError: Flags beside `--resume`, or an impossible setting.
+        InputError: Flags beside `--resume`, processes that do not meet, or an impossible setting.
     """
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--preset", default="auto")
     first.add_argument("--resume", type=Path)
     known, others = first.parse_known_args(argv)
+    run_on, rest = tyro.cli(RunOn, args=others, return_unknown_args=True, add_help=False)
+    join_hosts(run_on)
     if known.resume is not None:
-        if others or known.preset != "auto":
-            raise InputError("--resume", " ".join(argv), "no other flag: a run keeps its settings")
-        return stored_config(known.resume)
+        if rest or known.preset != "auto":
+            expected = "no other flag but those of devices: a run keeps its settings"
+            raise InputError("--resume", " ".join(argv), expected)
+        return replace(stored_config(known.resume), run_on=run_on)
     default = preset_config(known.preset)
     named = {flag.partition("=")[0] for flag in others}
     if "--ppo.worlds" in named:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from mjx_grasp.closing.config import REACTING, ActionConfig, GripConfig, LiftConfig
 from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.devices import RunOn
 from mjx_grasp.learning.run import LoopConfig
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.atomic import read_json
@@ -60,6 +63,7 @@ class TrainConfig(ObjectsConfig):
     that is given"""
     evaluation_episodes: WholeNumber = 64
     """episodes per object after training, for policy, untrained policy and squeeze; 0 for none"""
+    run_on: Annotated[RunOn, tyro.conf.arg(name="")] = field(default_factory=RunOn)
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     noise: StartNoise = field(default_factory=StartNoise)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
@@ -18,6 +19,7 @@ from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.devices import Devices, find_devices
 from mjx_grasp.learning.log import require_wandb
 from mjx_grasp.learning.memory import device_memory, worlds_that_fit
 from mjx_grasp.learning.policy import policy_from_training
@@ -44,6 +46,8 @@ def run_training(
 ) -> Path:
     """Runs a training to its end and returns the run's folder.
 
+    Of several processes, which all call this, the first one writes and evaluates.
+
     Args:
         config: The settings.
         console: For progress and tables.
@@ -54,7 +58,10 @@ def run_training(
         KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
     """
     require_wandb(config.loop.wandb_project)
+    devices = find_devices(config.run_on, config.ppo.worlds, config.ppo.minibatches)
+    _check_shared_by_processes(config)
     folder = _run_folder(config)
+    console = console if devices.writes else Console(quiet=True)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
     robot = load_robot(config.robot)
     stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
@@ -62,9 +69,11 @@ def run_training(
     if stored is not None:
         _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
-    config = replace(config, ppo=_fit_worlds(config, scene), fit_memory=False)
+    config = replace(config, ppo=_fit_worlds(config, scene, devices), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
-    _open_run(config, folder, stored)
+    devices.wait("every process has looked at the folder")
+    if devices.writes:
+        _open_run(config, folder, stored)
     try:
         if stored is None or world is None:
             try:
@@ -74,7 +83,7 @@ def run_training(
                     _discard_run(folder)
                 raise
             world = _build(scene, stored, config, console)
-        _run(folder, resumed, config, world, stored, console, extra_terms)
+        _run(folder, resumed, config, devices, world, stored, console, extra_terms)
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
         again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
@@ -86,6 +95,7 @@ def _run(
     folder: Path,
     resumed: Path | None,
     config: TrainConfig,
+    devices: Devices,
     world: World,
     handoffs: HandoffSet,
     console: Console,
@@ -94,20 +104,24 @@ def _run(
     """Trains in an opened run, keeps the policy and evaluates it."""
     ppo = config.ppo
     names, _ = eligible(world.scene.object_names, handoffs)
+    worlds = ppo.worlds // devices.count
     task = world.task(
-        config.engine, ppo.worlds, config.task, config.noise, ppo.privileged_critic, extra_terms
+        config.engine, worlds, config.task, config.noise, ppo.privileged_critic, extra_terms
     )
-    env = BraxTask(task, ppo.worlds, ppo.stagger)
+    env = BraxTask(task, worlds, ppo.stagger, devices)
+    spread = f" on {devices.count} devices" if devices.count > 1 else ""
     console.print(
-        f"preset {config.preset}: {len(names)} object(s), {ppo.worlds} worlds in {config.engine}, "
-        f"{ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
+        f"preset {config.preset}: {len(names)} object(s), {ppo.worlds} worlds in {config.engine}"
+        f"{spread}, {ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
     )
     state = init_state(ppo, env, config.seed)
     if resumed is not None:
         state, goes_on = restore_checkpoint(resumed, state, env)
-        worlds = "" if goes_on else ", with fresh worlds: those of its version were others"
-        console.print(f"resumed from {resumed.name}{worlds}")
+        fresh = "" if goes_on else ", with fresh worlds: those of its version were others"
+        console.print(f"resumed from {resumed.name}{fresh}")
     state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
+    if not devices.writes:
+        return
     _save_policy(folder, state, config, names, world.scene.robot.identity)
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
@@ -219,10 +233,23 @@ def _made_handoffs(
     return load_handoffs(path, robot=robot)
 
 
-def _fit_worlds(config: TrainConfig, scene: Scene) -> PPOConfig:
+def _check_shared_by_processes(config: TrainConfig) -> None:
+    """Refuses what each of several processes would choose or make for itself.
+
+    Raises:
+        InputError: No folder is named, or no start states.
+    """
+    if jax.process_count() == 1 or config.resume is not None:
+        return
+    for flag, given in (("--out", config.out), ("--handoffs", config.handoffs)):
+        if given is None:
+            raise InputError(flag, "nothing", "a path that all processes see")
+
+
+def _fit_worlds(config: TrainConfig, scene: Scene, devices: Devices) -> PPOConfig:
     if not config.fit_memory:
         return config.ppo
-    worlds = worlds_that_fit(scene, config.ppo, device_memory())
+    worlds = worlds_that_fit(scene, config.ppo, device_memory(), devices.count)
     return replace(config.ppo, worlds=worlds)
 
 

@@ -36,7 +36,7 @@ def run(tmp_path_factory):
     progress = run_module._progress
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tiny, "NativePhysics", Overflowing)
-        patch.setattr(run_module, "_progress", lambda: kept.append(progress()) or kept[-1])
+        patch.setattr(run_module, "_progress", lambda *a: kept.append(progress(*a)) or kept[-1])
         env = tiny.make_env()
         state = init_state(tiny.ppo(), env, seed=0)
         inner = state.env.pipeline_state

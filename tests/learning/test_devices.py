@@ -1,0 +1,128 @@
+"""Training on several devices: CPUs that XLA pretends to have, and processes of one device each."""
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.learning.checkpoint import checkpoints
+from mjx_grasp.learning.devices import ONE_DEVICE, RunOn, find_devices, join_hosts
+
+SCRIPT = Path(__file__).parent / "many_devices.py"
+
+
+def script(*arguments):
+    return subprocess.Popen(
+        [sys.executable, str(SCRIPT), *map(str, arguments)],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def output_of(process):
+    output = process.communicate(timeout=400)[0]
+    assert process.returncode == 0, output
+    return output
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    out = tmp_path_factory.mktemp("devices") / "found.npz"
+    output_of(script(out))
+    with np.load(out) as stored:
+        return dict(stored)
+
+
+def test_devices_that_see_the_same_learn_what_one_learns(found):
+    """The mean of equal gradients is the gradient; observations count once for each device."""
+    np.testing.assert_allclose(found["twins"], found["lone"], rtol=1e-4, atol=1e-6)
+    assert list(found["counts"]) == [2 * 24 * 8, 24 * 8]
+
+
+def test_every_device_has_the_same_weights_and_rate_and_worlds_of_its_own(found):
+    assert np.ptp(found["copies"], axis=0).max() == 0.0
+    assert len(found["rates"]) == 4 and np.ptp(found["rates"]) == 0.0
+    places = found["places"].ravel()
+    assert found["places"].shape == (4, 16) and len(np.unique(places)) == 64
+
+
+def test_metrics_are_those_of_all_devices(found):
+    np.testing.assert_allclose(found["reward"], found["terms"], rtol=1e-4)
+    assert found["reward"][-1] > found["reward"][0]
+    assert 0 < found["episodes"] <= 64
+
+
+def test_a_checkpoint_goes_on_as_if_nothing_had_been(found):
+    np.testing.assert_array_equal(found["resumed"], found["unbroken"])
+    assert np.abs(found["unbroken"] - found["kept"]).max() > 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_checkpoint_of_two_devices_is_read_on_any_number(found, count):
+    """The same weights, and every world where it stood."""
+    assert found[f"goes_on_{count}"]
+    np.testing.assert_array_equal(found[f"kept_{count}"], found["kept"])
+    np.testing.assert_array_equal(found[f"stood_{count}"], found["stood"])
+    assert found["after"][0] == 3 and np.isfinite(found["after"][1])
+
+
+def free_port():
+    with socket.socket() as opened:
+        opened.bind(("localhost", 0))
+        return opened.getsockname()[1]
+
+
+@pytest.mark.long
+def test_two_processes_train_together_and_one_goes_on_alone(tmp_path):
+    def train(folder, count, iterations):
+        at = f"localhost:{free_port()}"
+        started = [script(folder, at, count, k, iterations) for k in range(count)]
+        return [output_of(process) for process in started]
+
+    together, broken = tmp_path / "together", tmp_path / "broken"
+    for folder in (together, broken):
+        folder.mkdir()
+    train(together, 2, 3)
+    first, second = (np.load(together / f"weights_{k}.npy") for k in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert len(checkpoints(together / "checkpoints")) == 2
+    lines = (together / "metrics.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["iteration", "1", "2", "3"]
+    # Stopped after two iterations and resumed: the same weights with as many processes.
+    train(broken, 2, 2)
+    assert all("from 2 True" in output for output in train(broken, 2, 3))
+    np.testing.assert_array_equal(np.load(broken / "weights_1.npy"), first)
+    (output,) = train(broken, 1, 4)
+    assert "from 3 True" in output
+    assert [p.name[-1] for p in checkpoints(broken / "checkpoints")] == ["3", "4"]
+
+
+def test_one_device_is_the_default_on_a_cpu():
+    assert find_devices(RunOn(), 6, 3) is ONE_DEVICE and ONE_DEVICE.count == 1
+    assert ONE_DEVICE.writes and ONE_DEVICE.agreed(True, False) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("run_on", "worlds", "said"),
+    [
+        (RunOn(devices=len(jax.devices()) + 1), 8, r"--devices: found .*here"),
+        (RunOn(devices=1), 9, r"--ppo\.worlds: found 9.*1 devices × 2 minibatches"),
+    ],
+)
+def test_devices_that_are_not_there_and_uneven_worlds_are_refused(run_on, worlds, said):
+    with pytest.raises(InputError, match=said):
+        find_devices(run_on, worlds, 2)
+
+
+def test_processes_without_a_meeting_place_are_refused():
+    join_hosts(RunOn())
+    with pytest.raises(InputError, match=r"--process: found 1.*coordinator"):
+        join_hosts(RunOn(process=1))

@@ -7,6 +7,7 @@ beside the flags of its own momentum observer.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -162,7 +163,8 @@ class Closer:
         lifting = state.lifting | begins
         landed = state.landed | touching
         left = way_left(measured.pad_pos, state.start_pos, targets.position)
-        late = (state.tick - 1) * config.control_dt >= config.grip.approach_s
+        limit = math.inf if config.grip.approach_s is None else config.grip.approach_s
+        late = (state.tick - 1) * config.control_dt >= limit
         there = landed | (left < config.grip.arrival) | (late | lifting)[..., None]
         if config.grip.together:
             there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
@@ -192,7 +194,7 @@ class Closer:
         jacobian = control.pad_jacobians(measured, at.per_finger)
         field = self.guidance(state, measured, targets)
         rates = control.guided_rates(jacobian, field, config.guidance)
-        by_force = state.landed | state.lifting[..., None]
+        by_force = state.lifting[..., None] | (state.landed & config.grip.freezes)
         if config.grip.follow:  # a force brings a finger that has arrived short of the object to it
             by_force |= state.grip_ticks > 0
         q = measured.q[..., at.per_finger]

@@ -67,11 +67,14 @@ class GripConfig(Settings):
     """from landing, or from arrival, to the full force [s]"""
     arrival: NonNegative = 0.005
     """way left to the contact at which a finger has arrived and grips even without touching:
-    targets that are not on the surface would otherwise never be reached [m]"""
+    targets that are not on the surface would otherwise never be reached; 0: none arrives so [m]"""
     together: bool = True
     """whether the fingers' forces rise together, once all have landed or arrived"""
-    approach_s: NonNegative = 1.0
-    """after this time every finger counts as arrived [s]"""
+    approach_s: NonNegative | None = 1.0
+    """after this time every finger counts as arrived; None: time alone brings none [s]"""
+    freezes: bool = True
+    """whether a finger's guided target stays where it is once the finger has landed; else it goes
+    on along the field until the lift, as published"""
     split: Literal["even", "balanced"] = "even"
     """whether each finger presses with F, or the thumb with as much as the others together and all
     three with 3 F in sum, as now"""

@@ -23,6 +23,9 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.sim.scene import ObjectArea
 
+HandoffKind = Literal["ik", "reached", "mixed"]
+HandoffGate = Literal["default", "paper", "converged"]
+
 
 @dataclass(frozen=True)
 class SamplingConfig(Settings):
@@ -91,13 +94,13 @@ class HandoffConfig(ObjectsConfig):
     """name or description file of the robot"""
     per_object: Count = 128
     """pre-grasps wanted of each object [-]"""
-    kind: Literal["ik", "reached", "mixed"] = "ik"
+    kind: HandoffKind = "ik"
     """what states are: ik, postures in front of drawn candidates; reached, where the reaching
     controller really comes to with the candidate that it selects, from home and without physics;
     or a mixture of both"""
     reached_share: Annotated[float, Range(0, 1)] = 0.5
     """of each object's states in a mixture [-]"""
-    gate: Literal["default", "paper", "converged"] = "default"
+    gate: HandoffGate = "default"
     """when a reach hands off: default, the controller's own; paper, as soon as the midpoint of the
     tips is near; converged, when every tip is within 20 mm and slow"""
     gate_midpoint: Positive | None = None

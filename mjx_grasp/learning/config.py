@@ -14,6 +14,7 @@ from mjx_grasp.records.settings import (
     Settings,
     Several,
     Share,
+    WholeNumber,
 )
 
 
@@ -45,6 +46,8 @@ class PPOConfig(Settings):
     """Adam's for the critic, which need not wait for the actor's; None: the same [-]"""
     desired_kl: Positive | None = 0.01
     """target of the adaptive learning rate; None keeps the rate fixed [nat]"""
+    tuning: WholeNumber = 0
+    """of these iterations the last ones, at the fixed rate of --ppo.learning-rate [-]"""
     gradient_norm: Positive = 1.0
     """longest gradient; longer ones are shortened to it [-]"""
     reward_scale: Positive = 0.02
@@ -65,6 +68,8 @@ class PPOConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.tuning > self.iterations:
+            raise InputError(self.name_of("tuning"), self.tuning, f"at most {self.iterations}")
         if self.worlds % self.minibatches:
             multiple = f"a multiple of minibatches ({self.minibatches})"
             raise InputError(self.name_of("worlds"), self.worlds, multiple)

@@ -20,7 +20,7 @@ from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import losses, networks
 from brax.training.agents.ppo import optimizer as ppo_optimizer
 from flax import linen
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
@@ -124,7 +124,9 @@ def make_iteration(
         has_aux=True,
     )
 
-    def minibatch_step(carry: _Carry, data: Any, normalizer: Any) -> tuple[_Carry, Metrics]:
+    def minibatch_step(
+        carry: _Carry, data: Any, normalizer: Any, tuning: Bool[Array, ""]
+    ) -> tuple[_Carry, Metrics]:
         optimizer_state, params, key = carry
         key, loss_key = jax.random.split(key)
         (_, metrics), gradient = devices.mean(loss_and_gradient(params, normalizer, data, loss_key))
@@ -132,6 +134,9 @@ def make_iteration(
             optimizer_state, _ = ppo_optimizer.adaptive_kl_learning_rate(
                 optimizer_state, metrics["kl_mean"], config.desired_kl
             )
+        if config.tuning:
+            rates = optimizer_state[-1].hyperparams
+            rates["learning_rate"] = jnp.where(tuning, config.learning_rate, rates["learning_rate"])
         updates, optimizer_state = optimizer.update(gradient, optimizer_state)
         metrics["learning_rate"] = rate = optimizer_state[-1].hyperparams["learning_rate"]
         if config.critic_rate is not None:
@@ -141,7 +146,7 @@ def make_iteration(
         return (optimizer_state, optax.apply_updates(params, updates), key), metrics
 
     def epoch(
-        carry: _Carry, _nothing: None, data: Any, normalizer: Any
+        carry: _Carry, _nothing: None, data: Any, normalizer: Any, tuning: Bool[Array, ""]
     ) -> tuple[_Carry, dict[str, Float[Array, " minibatches"]]]:
         optimizer_state, params, key = carry
         key, order_key, step_key = jax.random.split(key, 3)
@@ -150,7 +155,7 @@ def make_iteration(
         def shuffled(x: Array) -> Array:
             return x[order].reshape(config.minibatches, -1, *x.shape[1:])
 
-        step: Any = functools.partial(minibatch_step, normalizer=normalizer)
+        step: Any = functools.partial(minibatch_step, normalizer=normalizer, tuning=tuning)
         (optimizer_state, params, _), metrics = jax.lax.scan(
             step, (optimizer_state, params, step_key), jax.tree.map(shuffled, data)
         )
@@ -170,7 +175,12 @@ def make_iteration(
         )
         data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
         (optimizer_state, params, _), training = jax.lax.scan(
-            functools.partial(epoch, data=data, normalizer=state.normalizer),
+            functools.partial(
+                epoch,
+                data=data,
+                normalizer=state.normalizer,
+                tuning=state.iteration >= config.iterations - config.tuning,
+            ),
             (state.optimizer, state.params, sgd_key),
             length=config.epochs,
         )

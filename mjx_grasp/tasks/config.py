@@ -42,6 +42,9 @@ class RewardConfig(Settings):
     """per tick and fingertip that touches the object"""
     lift: Finite = 2.0
     """per tick of a palm that rises as the script says, in the lift"""
+    lift_speed: Positive | None = None
+    """of the palm that the lift reward asks for, 0.15 as published; None: the script's own at the
+    time [m/s]"""
     lift_scale: Positive = 0.1
     """width of the lift reward [m/s]"""
     action_rate: Finite = -0.01

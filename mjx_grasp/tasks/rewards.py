@@ -84,11 +84,12 @@ def reach(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
 def lift(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:
     """exp(−((v_z − v*)/σ)²)·exp(−(|v_xy|/σ)²): the palm rises at the scripted speed, straight.
 
-    v* is the scripted lift's own speed at this time: 0.15 m/s as published, 0 once it has ended, so
-    that the reward never asks for more height than the script.
+    v* is `lift_speed`, constant as published, or else the scripted lift's own speed at this time: 0
+    once it has ended, so that the reward never asks for more height than the script.
     """
     velocity = moment.palm_velocity
-    up = (velocity[..., 2] - moment.lift_speed) / config.lift_scale
+    wanted = moment.lift_speed if config.lift_speed is None else config.lift_speed
+    up = (velocity[..., 2] - wanted) / config.lift_scale
     sideways = jnp.sum(velocity[..., :2] ** 2, -1) / config.lift_scale**2
     return jnp.exp(-(up**2) - sideways)
 

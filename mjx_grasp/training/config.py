@@ -12,6 +12,7 @@ import tyro
 from mjx_grasp.closing.config import REACTING, ActionConfig, GripConfig, LiftConfig
 from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.handoff.config import HandoffGate, HandoffKind
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import RunOn
 from mjx_grasp.learning.run import LoopConfig
@@ -50,6 +51,10 @@ class TrainConfig(ObjectsConfig):
     """handoff set; made for the objects first if none is given"""
     handoffs_per_object: Count = 64
     """states per object when they are made first [-]"""
+    handoffs_kind: HandoffKind = "ik"
+    """what kind they are then; reached ones take minutes for each object"""
+    handoffs_gate: HandoffGate = "default"
+    """when a reach hands off, for reached ones"""
     out: Path | None = None
     """folder of the run; runs/<preset>-<time> by default"""
     resume: Path | None = None
@@ -69,6 +74,12 @@ class TrainConfig(ObjectsConfig):
     noise: StartNoise = field(default_factory=StartNoise)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.handoffs_kind == "ik" and self.handoffs_gate != "default":
+            expected = "default, or --handoffs-kind reached or mixed"
+            raise InputError(self.name_of("handoffs_gate"), self.handoffs_gate, expected)
 
 
 FEELING = TaskConfig(
@@ -139,12 +150,19 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="paper",
             engine="mjx" if has_gpu() else "mujoco",
+            objects=("train",),
+            handoffs_per_object=42,
+            handoffs_kind="reached",
+            handoffs_gate="paper",
             task=TaskConfig(
                 action=ActionConfig(residual="integrated"),
                 lift=LiftConfig(delay_s=0.0),
-                grip=GripConfig(together=False),
+                grip=GripConfig(together=False, arrival=0.0, approach_s=None, freezes=False),
+                reward=RewardConfig(lift_speed=0.15),
             ),
-            ppo=PPOConfig(worlds=1024, unroll=64, iterations=470, privileged_critic=False),
+            ppo=PPOConfig(
+                worlds=1024, unroll=64, iterations=470, tuning=10, privileged_critic=False
+            ),
         )
     raise InputError("--preset", preset, "auto, cpu, gpu or paper")
 

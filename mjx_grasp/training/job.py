@@ -192,9 +192,12 @@ def _open_run(config: TrainConfig, folder: Path, stored: HandoffSet | None) -> N
     if config.resume is not None:
         return
     made_of: dict[str, Any] = {"sha256": file_digests(handoffs=config.handoffs)}
-    # Those that the run makes for itself are of the first kind.
-    reached = 0.0 if stored is None or not len(stored) else float(stored.reached.mean())
-    kind = "ik" if stored is None else stored.kind
+    kind: str
+    if stored is None:
+        kind, wanted = config.handoffs_kind, config.handoffs_per_object
+        reached = _handoffs_wanted(config, folder).shares(wanted)[1] / wanted
+    else:
+        kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
     contents = (to_record(config), provenance(config.seed) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
@@ -218,19 +221,24 @@ def _made_handoffs(
         from mjx_grasp.handoff.make import make_handoffs
 
         console.print("making handoff states (give --handoffs to use a stored set)")
-        make_handoffs(
-            HandoffConfig(
-                objects=config.objects,
-                objects_dir=config.objects_dir,
-                mass=config.mass,
-                density=config.density,
-                robot=config.robot,
-                per_object=config.handoffs_per_object,
-                seed=config.seed,
-                out=path,
-            )
-        )
+        make_handoffs(_handoffs_wanted(config, folder), console)
     return load_handoffs(path, robot=robot)
+
+
+def _handoffs_wanted(config: TrainConfig, folder: Path) -> HandoffConfig:
+    """The set that a run makes where none is given."""
+    return HandoffConfig(
+        objects=config.objects,
+        objects_dir=config.objects_dir,
+        mass=config.mass,
+        density=config.density,
+        robot=config.robot,
+        per_object=config.handoffs_per_object,
+        kind=config.handoffs_kind,
+        gate=config.handoffs_gate,
+        seed=config.seed,
+        out=folder / "handoffs.npz",
+    )
 
 
 def _check_shared_by_processes(config: TrainConfig) -> None:

@@ -264,6 +264,25 @@ def test_without_any_flags_it_closes_grips_and_never_lifts(robot, starts):
     np.testing.assert_array_equal(commands[:, arm], np.broadcast_to(first.q[arm], (300, len(arm))))
 
 
+def test_as_published_only_touch_brings_force_and_landed_fingers_go_on(robot, starts):
+    """Neither time nor distance count as arrival; the field moves the targets until the lift."""
+    (first, targets), flags = one(starts), jnp.zeros((300, 3), bool).at[150:, 0].set(True)
+    told = stand(first, 300), flags, jnp.zeros((300, 15))
+    grip = GripConfig(together=False, arrival=0.0, approach_s=None, freezes=False)
+    published, usual = (
+        jax.jit(partial(run, Closer.of(robot, config)))(first, targets, told)[0]
+        for config in (CloserConfig(grip=grip), CloserConfig(grip=GripConfig(together=False)))
+    )
+    ticks = published.grip_ticks
+    assert not ticks[:150].any() and not ticks[:, 1:].any() and ticks[-1, 0] == 150
+    assert (usual.grip_ticks[-1] > 0).all()
+    assert (usual.hold[151:, 0] == usual.hold[151, 0]).all()
+    untouched, _ = jax.jit(partial(run, Closer.of(robot, CloserConfig(grip=grip))))(
+        first, targets, (stand(first, 300), *quiet(300))
+    )
+    np.testing.assert_array_equal(published.hold, untouched.hold)
+
+
 @pytest.mark.parametrize("fingers", range(8))
 def test_flags_from_outside_land_their_fingers_and_three_begin_the_lift(robot, starts, fingers):
     """Whatever sets them: the solver, touch pads, a person."""

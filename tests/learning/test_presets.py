@@ -8,11 +8,12 @@ import pytest
 from mjx_grasp import train as command
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import InputError
+from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.tasks import assemble
 from mjx_grasp.training import config as config_module
 from mjx_grasp.training import job
 from mjx_grasp.training.command_line import parse
-from mjx_grasp.training.config import preset_config
+from mjx_grasp.training.config import TrainConfig, preset_config, settings_of
 
 
 @pytest.fixture(params=["gpu", "cpu"])
@@ -34,6 +35,30 @@ def test_auto_takes_what_the_machine_has(backend):
         assert (config.preset, config.engine) == (backend, engine)
         assert config.fit_memory is (backend == "gpu")
     assert preset_config("paper").engine == engine
+
+
+def test_paper_leaves_out_what_the_publication_does_not_have():
+    """No timer or distance of arrival, no frozen command, no delay, a constant speed to lift at."""
+    paper, usual = settings_of("paper"), TrainConfig()
+    grip, ppo = paper.task.grip, paper.ppo
+    assert (grip.arrival, grip.approach_s, grip.freezes, grip.together) == (0.0, None, False, False)
+    assert (usual.task.grip.freezes, usual.task.reward.lift_speed) == (True, None)
+    assert (paper.task.lift.delay_s, paper.task.reward.lift_speed) == (0.0, 0.15)
+    assert (paper.handoffs_kind, paper.handoffs_gate, paper.objects) == (
+        *("reached", "paper"),
+        ("train",),
+    )
+    assert 24 * paper.handoffs_per_object >= 1000
+    assert (ppo.iterations - ppo.tuning, ppo.tuning, ppo.learning_rate) == (460, 10, 1e-3)
+    assert ppo.iterations * ppo.steps_per_iteration == pytest.approx(30.8e6, rel=1e-3)
+    assert not ppo.privileged_critic and paper.task.action.residual == "integrated"
+
+
+def test_impossible_combinations_are_refused():
+    with pytest.raises(InputError, match=r"--handoffs-gate: found 'paper'"):
+        TrainConfig(handoffs_gate="paper")
+    with pytest.raises(InputError, match="tuning: found 5, expected at most 4"):
+        PPOConfig(iterations=4, tuning=5)
 
 
 def test_a_preset_that_is_asked_for_is_not_changed(backend):

@@ -156,6 +156,17 @@ def test_the_critic_moves_no_further_in_an_iteration_than_its_bound(env, trained
     assert moved(value_clip=0.05) < 0.5 * moved()
 
 
+def test_the_last_iterations_keep_one_rate(env, trained):
+    """What the divergence says of the rate counts until then."""
+    (first, *_), _ = trained
+    config = tiny.ppo(3, learning_rate=1e-3, desired_kl=1e3, tuning=1)
+    iterate, state, rates = jax.jit(make_iteration(config, env)), first, []
+    for _ in range(3):
+        state, _ = iterate(state)
+        rates.append(float(state.optimizer[-1].hyperparams["learning_rate"]))
+    assert rates[1] > rates[0] > 2e-3 and rates[2] == np.float32(1e-3)
+
+
 def test_actor_sees_66_numbers_and_the_critic_more(env, trained):
     params = trained[0][0].params
     assert params.policy["params"]["MLP_0"]["hidden_0"]["kernel"].shape == (66, 8)

@@ -219,7 +219,15 @@ def test_a_run_of_the_first_version_keeps_its_task(tmp_path):
         stored_config(tmp_path)
 
 
-TASK_OF_PAPER = {"action.residual": "integrated", "lift.delay_s": 0.0, "grip.together": False}
+TASK_OF_PAPER = {
+    "action.residual": "integrated",
+    "grip.together": False,
+    "grip.arrival": 0.0,
+    "grip.approach_s": None,
+    "grip.freezes": False,
+    "lift.delay_s": 0.0,
+    "reward.lift_speed": 0.15,
+}
 """What the publication has otherwise than our default."""
 TASK_THAT_FEELS = {
     "action.grip_range": 3.0,

@@ -116,6 +116,13 @@ def test_lift_peaks_at_the_scripted_speed_and_falls_sideways():
     assert at([0, 0, 0.0], 0.0) > at([0, 0, 0.15], 0.0)
 
 
+def test_as_published_the_lift_asks_for_one_speed_for_ever():
+    config = RewardConfig(lift_speed=0.15)
+    for script in (0.0, 0.15):
+        rising = moment(palm_velocity=[0, 0, 0.15], lift_speed=script)
+        assert np.isclose(rewards.lift(rising, config), 1.0)
+
+
 @given(seed=seeds)
 def test_constant_and_ramped_actions_cost_what_they_should(seed):
     a = jnp.asarray(np.random.default_rng(seed).uniform(-1, 1, 15), jnp.float32)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import closing_tables
+import paper_tables
 import policy_tables
 import reach_tables
 import sensing_tables
@@ -68,6 +69,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
+            "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),
+            "stability": paper_tables.stability(folder / "lift_stability.json"),
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),
             "ranking": stage_tables.heatmap_ranking(folder / "heatmap_ranking.json"),

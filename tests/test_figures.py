@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import handmade
 import jax
 import numpy as np
 import pytest
@@ -268,3 +269,75 @@ def test_a_png_is_reduced_to_the_size_asked_for_or_refused(tmp_path):
     with pytest.raises(InputError, match="max_bytes"):
         write_png(tmp_path / "none.png", sheet, 200)
     assert not (tmp_path / "none.png").exists()
+
+
+def test_the_table_and_the_picture_of_pose_errors(tmp_path, monkeypatch):
+    """One line per error with the published figure where there is one."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+
+    def cell(offset, angle, outcomes):
+        named = {"offset_mm": offset, "angle_deg": angle, "object": "mug", "outcomes": outcomes}
+        return named | {"starts": [0, 1, 2, 3], "forces_n": [2.0, 2.0, None, 2.0]}
+
+    rows = [cell(0.0, 0.0, "SSSS"), cell(10.0, 5.0, "SLLL")]
+    path = tmp_path / "pose_error.json"
+    path.write_text(json.dumps({"controllers": {"policy": rows, "grip": rows}}))
+    tables = script("paper_tables")
+    first, second = tables.pose_errors(path).splitlines()[2:]
+    assert first.startswith("| ±0 mm | 0° | 100.0 (100–100), 2.0 N |") and "| 89.3 |" in first
+    assert second.startswith("| ±10 mm | 5° | 25.0 (0–75), 2.0 N |") and "| 80.4 |" in second
+    figure = script("pose_error_figure")
+    figure.main(figure.FigureConfig(results=path, out=tmp_path / "pose_error.png"))
+    assert Image.open(tmp_path / "pose_error.png").width > 400
+
+
+def test_pose_error_goes_on_where_it_stopped_and_only_with_its_own_settings(tmp_path, monkeypatch):
+    """A controller that is in the file is not run again."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    pose_error, ran = script("pose_error"), []
+
+    def counted(world, names, task, act, force, config):
+        ran.append(force)
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        return [{"outcomes": "S"}]
+
+    monkeypatch.setattr(pose_error, "_ran", counted)
+    config = pose_error.PoseErrorConfig(
+        out=tmp_path / "errors.json", objects=("rubiks_cube",), squeezes=(3.0,)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        pose_error.main(config)
+    ran.append(None)
+    pose_error.main(config)
+    assert ran == [3.0, 3.0, None, 3.0, 2.5]
+    found = json.loads(config.out.read_text())["controllers"]
+    assert list(found) == ["policy, budget 3 N", "squeeze 3 N", "grip"]
+    with pytest.raises(FileError, match="results of other settings"):
+        pose_error.main(replace(config, episodes=3))
+
+
+def test_a_hold_lasts_from_a_rise_of_5_cm_until_the_object_is_lower():
+    """Clock and duration of three objects: held to the end, dropped, never lifted."""
+    stability = script("lift_stability")
+    rise = np.zeros((100, 3))
+    rise[20:, 0] = rise[30:70, 1] = 0.1
+    curves = stability.Curves(rise, *[np.zeros((100, 3))] * 3)
+    clock = stability.since_risen(curves, 0.05, 0.01)
+    np.testing.assert_allclose(clock[[0, 20, 99], 0], [-0.2, 0.0, 0.79], atol=1e-9)
+    assert np.isnan(clock[:, 2]).all()
+    np.testing.assert_allclose(stability.held_for(curves, 0.05, 0.01), [0.8, 0.4, 0.0], atol=1e-9)
+
+
+def test_a_falling_object_lacks_its_weight_and_a_spinning_one_nothing():
+    """Newton and Euler: free fall, then steady spin about an axis of inertia."""
+    stability = script("lift_stability")
+    box, ticks, dt = handmade.box(), 50, 0.01
+    still = np.broadcast_to(np.array([1.0, 0, 0, 0], np.float32), (ticks, 1, 4))
+    vel = np.zeros((ticks, 1, 6))
+    vel[:, 0, 2] = -9.81 * dt * np.arange(ticks)
+    vel[:, 0, 5] = 2.0
+    nothing = np.zeros((ticks, 1)), np.zeros((ticks, 1, 3))
+    curves = stability.curves_of((*nothing, still, vel), box, dt)
+    np.testing.assert_allclose(curves.net_force, 9.81 * box.mass, rtol=1e-4)
+    np.testing.assert_allclose(curves.net_moment, 0.0, atol=1e-9)

@@ -213,6 +213,8 @@ class Closer:
         palm = control.palm_jacobian(measured, at.arm_policy)
         arm_rates = control.lift_rates(palm, speed, config.lift)
         arm_action = action[..., fingers : fingers + len(at.arm_policy)]
+        if config.action.arm_settles:
+            arm_action = jnp.where(self.lifted(state)[..., None], 0.0, arm_action)
         arm_rates = arm_rates + config.action.arm_rate * arm_action
         moved = state.arm.at[..., at.arm_policy].add(arm_rates * dt)
         arm = jnp.clip(moved, *joints.limits[at.arm].T)
@@ -238,11 +240,14 @@ class Closer:
 
     def follow(self, state: CloserState) -> Float[Array, "*b 1 1"] | float:
         """Share of the way to its joint that a held target goes in a tick."""
-        grip, lift = self.config.grip, self.config.lift
+        grip = self.config.grip
         if not (grip.follow and grip.settles):
             return grip.follow
-        lifted = state.lift_tick * self.config.control_dt >= stages.lift_duration(lift)
-        return jnp.where(lifted, 0.0, grip.follow)[..., None, None]
+        return jnp.where(self.lifted(state), 0.0, grip.follow)[..., None, None]
+
+    def lifted(self, state: CloserState) -> Bool[Array, "*b"]:
+        """Whether the scripted lift is over."""
+        return state.lift_tick * self.config.control_dt >= stages.lift_duration(self.config.lift)
 
     def grip_force(self, state: CloserState) -> Float[Array, "*b"]:
         """F as it is commanded: the level times the policy's factor [N]."""

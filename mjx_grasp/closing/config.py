@@ -17,6 +17,9 @@ class ActionConfig(Settings):
     """finger joint velocity residual at action 1 [rad/s]"""
     arm_rate: NonNegative = 0.15
     """arm joint velocity residual at action 1 [rad/s]"""
+    arm_settles: bool = False
+    """whether the arm is left alone once the lift is over: what moves it a little in every tick
+    carries it off in a long hold"""
     residual: Literal["leaky", "integrated"] = "leaky"
     """how finger residuals act: a bounded leak (default), or integrated as published"""
     keep: Share = 0.8

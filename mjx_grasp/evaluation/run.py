@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Shaped
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
@@ -105,6 +105,14 @@ def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
     return replace(task, grip=squeeze)
 
 
+def outcome_letters(trials: Trials) -> Shaped[np.ndarray, " n"]:
+    """What came of each trial, as a letter of `OUTCOMES`."""
+    letters = np.full(len(trials.success), OUTCOMES["successes"])
+    for failure in FAILURES:
+        letters[getattr(trials, failure)] = OUTCOMES[failure]
+    return letters
+
+
 def summarise(
     name: str,
     trials: Trials,
@@ -120,9 +128,7 @@ def summarise(
     squeeze, grip = config.controller == "squeeze", config.controller == "grip"
     knows_budget = config.controller == "policy" and task.observation.budget
     failures = {failure: getattr(trials, failure) for failure in FAILURES}
-    letters = np.full(n, OUTCOMES["successes"])
-    for failure, happened in failures.items():
-        letters[happened] = OUTCOMES[failure]
+    letters = outcome_letters(trials)
     return ResultRow(
         object=name,
         controller=config.controller,

@@ -53,6 +53,9 @@ class SceneConfig(Settings):
     """contact time constant [s] and damping ratio [-]"""
     solimp: tuple[Share, Share, Positive] = (0.95, 0.99, 0.001)
     """contact impedance: two levels [-] and the width between them [m]"""
+    impratio: Positive = 1.0
+    """how much stiffer friction is than the normal force; friction gives way a little for as long
+    as it bears a load, the less the larger this is [-]"""
     solver_iterations: Count = 20
     """most Newton iterations of a step; on a GPU all worlds wait for the one that needs most [-]"""
     line_search_iterations: Count = 20
@@ -212,7 +215,7 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations = config.solver_iterations
     spec.option.ls_iterations = config.line_search_iterations
-    spec.option.impratio = 1.0
+    spec.option.impratio = config.impratio
 
 
 def _add_table(spec: mujoco.MjSpec, config: SceneConfig) -> None:

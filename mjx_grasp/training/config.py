@@ -83,7 +83,7 @@ class TrainConfig(ObjectsConfig):
 
 
 FEELING = TaskConfig(
-    action=ActionConfig(grip_range=3.0),
+    action=ActionConfig(grip_range=3.0, arm_settles=True),
     grip=replace(REACTING, force=1.5),
     observation=ObservationConfig(forces=True, budget=True),
     reward=RewardConfig(held=4.0, over_budget=-1.0, hard=-0.2),

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import draw_of
 
+from mjx_grasp.closing import stages
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import (
     ActionConfig,
@@ -281,6 +282,23 @@ def test_as_published_only_touch_brings_force_and_landed_fingers_go_on(robot, st
         first, targets, (stand(first, 300), *quiet(300))
     )
     np.testing.assert_array_equal(published.hold, untouched.hold)
+
+
+def test_an_arm_that_settles_is_moved_by_no_action_once_the_lift_is_over(robot, starts):
+    (first, targets), flags = one(starts), jnp.ones((300, 3), bool)
+    told = stand(first, 300), flags, jnp.ones((300, 15))
+    lift = LiftConfig(delay_s=0.1, height=0.1)
+    ends = round(stages.lift_duration(lift) / 0.01)
+    settled, restless = (
+        jax.jit(partial(run, closer))(first, targets, told)[1][:, closer.joints.at.arm]
+        for closer in (
+            Closer.of(robot, CloserConfig(lift=lift, action=ActionConfig(arm_settles=settles)))
+            for settles in (True, False)
+        )
+    )
+    np.testing.assert_array_equal(settled[:ends], restless[:ends])
+    assert (settled[ends + 1 :] == settled[ends + 1]).all()
+    assert (np.abs(np.diff(restless[ends + 1 :, 0])) > 0).all()
 
 
 @pytest.mark.parametrize("fingers", range(8))

@@ -231,6 +231,7 @@ TASK_OF_PAPER = {
 """What the publication has otherwise than our default."""
 TASK_THAT_FEELS = {
     "action.grip_range": 3.0,
+    "action.arm_settles": True,
     "grip.force": 1.5,
     "grip.split": "balanced",
     "grip.direction": "line",

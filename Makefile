@@ -11,7 +11,7 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed-$(subst $(comma),-,$(EXTRAS))
 SOURCES := mjx_grasp tests experiments benchmarks examples docs
 
-.PHONY: help setup train demo test test-long lint format docs readme revision clean
+.PHONY: help setup train demo test test-long lint format docs paper readme revision clean
 .DEFAULT_GOAL := help
 
 help:
@@ -23,6 +23,8 @@ help:
 	@echo "make lint       style and types"
 	@echo "make docs       build the documentation into site/"
 	@echo "make revision   write the revision down, for a copy without .git"
+	@echo "make paper      make the publication's tables and figures again, and more"
+	@echo "                (ARGS='--objects-dir SCANS', needed; ARGS=--list says what there is)"
 	@echo "make readme     put the numbers of experiments/results into the READMEs"
 
 setup: $(INSTALLED)
@@ -55,6 +57,9 @@ lint: setup
 format: setup
 	$(BIN)/ruff check --fix $(SOURCES)
 	$(BIN)/ruff format $(SOURCES)
+
+paper: setup
+	$(BIN)/python experiments/paper.py $(ARGS)
 
 docs: setup
 	JAX_PLATFORMS=cpu $(BIN)/python docs/build.py site

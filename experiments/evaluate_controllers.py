@@ -2,7 +2,8 @@
 
 Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
 each friction, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
-training engine's figures for the comparison of both.
+training engine's figures for the comparison of both. A file of the same settings and
+revision is gone on with.
 
   python experiments/evaluate_controllers.py --objects eight --objects-dir DIR --out FILE.json
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 from rich.console import Console
@@ -21,7 +22,7 @@ from mjx_grasp.cli import run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.results import ResultRow, read_results, write_results
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
@@ -122,6 +123,24 @@ def asked_controllers(
     ]
 
 
+def before(
+    config: ComparisonConfig, made_of: dict[str, Any]
+) -> tuple[list[ResultRow], dict[str, Any], dict[str, int]]:
+    """What an interrupted comparison has left: rows, provenance, and counts of incidents.
+
+    Results of other settings, or of another revision of the code, are made anew.
+    """
+    made = provenance(config.seed)
+    if not config.out.exists():
+        return [], made, {}
+    kept = read_results(config.out)
+    same = all(kept.extra.get(name) == value for name, value in made_of.items())
+    if not same or kept.provenance["git"] != made["git"]:
+        return [], made, {}
+    counted = {name: int(kept.extra[name]) for name in incidents(()) if name in kept.extra}
+    return list(kept.rows), kept.provenance, counted
+
+
 def main(config: ComparisonConfig) -> None:
     """Runs the comparison."""
     if not (config.with_policy or config.squeeze_forces or config.grip_frictions):
@@ -141,8 +160,8 @@ def main(config: ComparisonConfig) -> None:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
     states = states_of(stored, names, config.states)
     world = build_world(scene, states, TaskConfig().control_dt)
-    rows: list[ResultRow] = []
-    counted: dict[str, int] = {}
+    rows, made, counted = before(config, made_of)
+    finished = len(rows) // len(names)
     for name in config.conditions:
         base = EvaluateConfig(
             out=config.out,
@@ -155,13 +174,15 @@ def main(config: ComparisonConfig) -> None:
         )
         controllers = asked_controllers(base, config, policy_task(policy).observation.budget)
         for chosen in controllers:
+            if finished > 0:
+                finished -= 1
+                continue
             controller = policy if chosen.controller == "policy" else None
             new, trials = evaluate(world, names, chosen, controller, states.reached, console)
             rows += new
             for what, count in incidents(trials.values()).items():
                 counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
-            made = provenance(config.seed)
             write_results(
                 config.out,
                 rows,
@@ -171,8 +192,9 @@ def main(config: ComparisonConfig) -> None:
                 **made_of,
                 **counted,
             )
-        done = rows[-len(names) * len(controllers) :]
-        Console().print(success_table(done, scans=config.objects_dir is not None))
+    for k in range(len(config.conditions)):
+        of = rows[k * len(names) * len(controllers) :][: len(names) * len(controllers)]
+        Console().print(success_table(of, scans=config.objects_dir is not None))
 
 
 if __name__ == "__main__":

@@ -146,6 +146,7 @@ def draw(found: dict[str, Curves], config: StabilityConfig, dt: float) -> bytes:
             ax.set_ylim(0, None)
         axes[-1, column].set_xlabel("time since the object has risen by 5 cm [s]", fontsize=9)
         axes[-1, column].set_xlim(-1.0, config.seconds - 2.5)
+    axes[1, 0].set_ylim(0, 9.0)
     axes[2, 0].set_ylim(0, 6.0)
     axes[3, 0].set_ylim(0, 0.3)
     return png(figure)

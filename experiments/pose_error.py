@@ -2,8 +2,8 @@
 
 The hand stands at its handoff while the object is moved sideways by up to so much along x and y and
 turned by up to so much about a random axis, which is what a wrong pose is to a policy that does not
-see. All controllers have the same draws. A controller that is in the file already is left alone, so
-that an interrupted run goes on.
+see. All controllers have the same draws. A controller that is in the file already, of the same
+settings and revision of the code, is left alone, so that an interrupted run goes on.
 
   python experiments/pose_error.py --objects-dir SCANS --handoffs assets/handoffs_reached.npz
 """
@@ -25,7 +25,6 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, GripConfig
-from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.trials import Trials, paired_draws, run_trials, zero_controller
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -140,10 +139,9 @@ def main(config: PoseErrorConfig) -> None:
     }
     if config.out.exists():
         before = read_json(config.out, "a table of pose errors")
-        same = ("schema", "settings", "sha256")
-        if any(before.get(name) != record[name] for name in same):
-            raise FileError(config.out, "results of other settings", "another --out, or these")
-        record = before
+        same = all(before.get(n) == record[n] for n in ("schema", "settings", "sha256"))
+        if same and before["provenance"]["git"] == made["git"]:
+            record = before
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, _ = eligible(scene.object_names, stored)
     states = states_of(stored, names, "evaluation")

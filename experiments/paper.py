@@ -1,0 +1,234 @@
+"""The publication's tables and figures, made again: one part each, with everything it needs.
+
+  python experiments/paper.py --list
+  python experiments/paper.py --objects-dir SCANS reach eight
+  python experiments/paper.py --objects-dir SCANS
+
+What is done for this revision of the code is not done again, so that a run that was stopped goes
+on; several of the commands go on within themselves too. The last step puts the numbers into the
+READMEs.
+`docs/reproduction.md` says where each table and figure is shown.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.records.atomic import read_json, write_json
+from mjx_grasp.records.provenance import git_revision
+from mjx_grasp.records.settings import CommandSettings
+from mjx_grasp.tasks.assemble import has_gpu
+
+ROOT = Path(__file__).resolve().parent.parent
+SCHEMA = "mjx_grasp.paper/1"
+REACHED = "assets/handoffs_reached.npz"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One table or figure of the publication."""
+
+    name: str
+    shows: str
+    commands: tuple[str, ...]
+    """relative to the repository; `SCANS` stands for the folder of scans"""
+    without_gpu: str | None = None
+    """what it takes without a GPU, where that is too much; None: every machine can do it"""
+
+
+PARTS = (
+    Part(
+        "heatmaps",
+        "heatmaps of the 28 objects, which can be grasped, and their ranking",
+        (
+            "experiments/heatmap_figure.py --objects-dir SCANS",
+            "experiments/heatmap_ranking.py --objects-dir SCANS",
+            "experiments/eligibility.py --objects-dir SCANS",
+        ),
+    ),
+    Part(
+        "steering",
+        "default against anchored selection, and the grasps that come of it",
+        (
+            "experiments/steering_figure.py --objects-dir SCANS",
+            "experiments/steering_numbers.py --objects-dir SCANS",
+            "experiments/steered_grasps.py --objects-dir SCANS",
+        ),
+    ),
+    Part(
+        "reach",
+        "convergence of reaching over tolerance and time, by both presets",
+        ("-m mjx_grasp.sweep_reach --out experiments/results/reach_sweep_cpu.json",),
+    ),
+    Part(
+        "handoffs",
+        "tip errors at handoffs that the reaching controller comes to",
+        (
+            "-m mjx_grasp.handoffs --kind reached --objects eight --objects-dir SCANS "
+            "--out experiments/results/handoffs_reached.npz",
+        ),
+    ),
+    Part(
+        "eight",
+        "success, forces and failure classes on the eight objects, policy and squeeze",
+        (
+            f"experiments/evaluate_controllers.py --objects-dir SCANS --handoffs {REACHED} "
+            "--force-budgets 1.5 3 6 --squeeze-forces 3 4 5 7 10 --grip-frictions 0.4 "
+            "--episodes 32 --out experiments/results/eight_reached.json",
+            "experiments/force_figure.py",
+        ),
+    ),
+    Part(
+        "pose-error",
+        "success over errors of the object's pose at the handoff",
+        (
+            f"experiments/pose_error.py --objects-dir SCANS --handoffs {REACHED}",
+            "experiments/pose_error_figure.py",
+        ),
+    ),
+    Part(
+        "stability",
+        "rise, forces and the wrench that is left while an object is held",
+        (f"experiments/lift_stability.py --objects-dir SCANS --handoffs {REACHED}",),
+    ),
+    Part(
+        "scenarios",
+        "whole grasps from home, with what the hardware demonstrations show",
+        (
+            "-m mjx_grasp.scenarios --objects-dir SCANS --episodes 2 --seed 7 "
+            "--out experiments/results/scenarios.json",
+        ),
+    ),
+    Part(
+        "paper-policy",
+        "a policy trained as published, for the rows of the preset `paper`",
+        (
+            "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
+            "--objects-dir SCANS --out runs/paper/handoffs.npz",
+            "-m mjx_grasp.train --preset paper --objects-dir SCANS "
+            "--handoffs runs/paper/handoffs.npz --evaluation-episodes 0 --out runs/paper/seed0",
+            "experiments/collect_runs.py runs/paper/seed0",
+        ),
+        without_gpu="its 31 M steps take days on a few cores",
+    ),
+)
+LAST = "experiments/make_readme.py"
+
+
+@dataclass(frozen=True)
+class PaperConfig(CommandSettings):
+    """Which parts to make."""
+
+    parts: tyro.conf.Positional[tuple[str, ...]] = ()
+    """by name; all of them if none is named"""
+    list: bool = False
+    """only say what there is, and what of it is done"""
+    objects_dir: Path | None = None
+    """folder of real scans"""
+    state: Path = Path("runs/paper/state.json")
+    """where what is done is noted"""
+
+
+def chosen(names: tuple[str, ...]) -> list[Part]:
+    """Parts by name, in their own order.
+
+    Raises:
+        InputError: There is no such part.
+    """
+    known = [part.name for part in PARTS]
+    for name in names:
+        if name not in known:
+            raise InputError("parts", name, f"some of {', '.join(known)}")
+    return [part for part in PARTS if not names or part.name in names]
+
+
+def revision() -> str:
+    """The commit; pictures that were made again are no change of the code."""
+    return git_revision().removesuffix("-dirty")
+
+
+def done(state: dict[str, Any], command: str) -> bool:
+    """Whether a command has ended well at this revision of the code."""
+    return state.get(command, {}).get("git") == revision()
+
+
+def listed(parts: list[Part], state: dict[str, Any]) -> Table:
+    """What there is."""
+    table = Table("part", "what of the publication", "commands done", "s, before", box=None)
+    for part in parts:
+        ready = sum(done(state, command) for command in part.commands)
+        before = [state[c]["seconds"] for c in part.commands if c in state]
+        seconds = f"{sum(before):.0f}" if before else "?"
+        shown = part.shows + (" (needs a GPU)" if part.without_gpu else "")
+        table.add_row(part.name, shown, f"{ready} of {len(part.commands)}", seconds)
+    return table
+
+
+def main(config: PaperConfig) -> None:
+    """Makes what is not done."""
+    console, parts = Console(stderr=True), chosen(config.parts)
+    what = "the state of experiments/paper.py"
+    kept = read_json(config.state, what) if config.state.exists() else {}
+    if kept and kept.get("schema") != SCHEMA:
+        raise FileError(config.state, f"schema {kept.get('schema')!r}", SCHEMA)
+    state: dict[str, Any] = kept.get("commands", {})
+    if config.list:
+        Console().print(listed(parts, state))
+        return
+    if config.objects_dir is None or not config.objects_dir.is_dir():
+        found = str(config.objects_dir) if config.objects_dir else "nothing"
+        raise InputError("--objects-dir", found, "the folder of the scans")
+    todo = []
+    for part in parts:
+        if part.without_gpu and not has_gpu():
+            console.print(f"[yellow]{part.name} needs a GPU: {part.without_gpu}[/yellow]")
+            continue
+        todo += [(part.name, c) for c in part.commands if not done(state, c)]
+    began = time.monotonic()
+    for k, (name, command) in enumerate(todo):
+        left = [state.get(c, {}).get("seconds") for _, c in todo[k:]]
+        known = [x for x in left if x is not None]
+        guess = f", about {sum(known) / 60:.0f} min left" if len(known) == len(left) else ""
+        spent = (time.monotonic() - began) / 60
+        console.print(f"[bold]{k + 1}/{len(todo)} {name}[/bold], {spent:.0f} min so far{guess}")
+        started = time.monotonic()
+        _run(command, config.objects_dir, console)
+        state[command] = {
+            "git": revision(),
+            "seconds": round(time.monotonic() - started, 1),
+        }
+        write_json(config.state, {"schema": SCHEMA, "commands": state})
+    _run(LAST, config.objects_dir, console)
+
+
+def _run(command: str, scans: Path, console: Console) -> None:
+    """Runs a command of this repository in its root.
+
+    Raises:
+        MjxGraspError: It failed.
+    """
+    there = os.path.relpath(scans, ROOT)  # results keep the command
+    words = [there if word == "SCANS" else word for word in shlex.split(command)]
+    console.print(f"[dim]python {command}[/dim]")
+    code = subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode
+    if code:
+        raise MjxGraspError(
+            f"python {command}: ended with {code}; once it is mended, the same command goes on here"
+        )
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(PaperConfig, description=__doc__)))

@@ -71,8 +71,11 @@ class PlanConfig(Settings):
     touch_weight: NonNegative = 0.0
     """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
     lesser_scores: tuple[NonNegative, ...] = ()
-    """where no posture is found for candidates of the selection's least score: the least scores
-    with which they are looked for then, one after the other [-]"""
+    """where no good posture is found for candidates of the selection's least score: the least
+    scores with which they are looked for then, one after the other [-]"""
+    lesser_cost: Positive = 15.0
+    """cost from which a posture is not good enough to stop looking; a millimetre of tip error or of
+    missing clearance costs as much as a second [s]"""
     approach: Approach = "any"
     """where the palm is to come from: straight from above or level, give or take the angle below"""
     approach_angle: Positive = 0.8
@@ -180,10 +183,13 @@ class Planner:
         least = jnp.asarray((enough, *self.config.lesser_scores), jnp.float32)
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
-            return (tried[0] < len(least)) & (tried[1].cost[0] >= _FAILED)
+            return (tried[0] < len(least)) & (tried[1].cost[0] >= self.config.lesser_cost)
 
         def again(tried: tuple[Int[Array, ""], Search]) -> tuple[Int[Array, ""], Search]:
-            return tried[0] + 1, among(least[tried[0]])
+            found = among(least[tried[0]])
+            better = found.cost[0] < tried[1].cost[0]
+            best = jax.tree.map(lambda new, old: jnp.where(better, new, old), found, tried[1])
+            return tried[0] + 1, best
 
         nothing = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0])

@@ -433,6 +433,25 @@ def test_lesser_candidates_are_looked_at_only_where_the_better_ones_are_out_of_r
     assert search(jnp.zeros(4, int)).cost[0] == 1e4, "nothing is within reach at all"
 
 
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(("costs", "expected"), [((5, 30), 5), ((5, 14), 14), ((40, 30), 30)])
+def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs, expected):
+    """Of a candidate with a low score and of one with a high score."""
+
+    class Costly(_Finds):
+        def _search(self, library, candidates, around, q, key):
+            cost = jnp.where(candidates.score >= 0.5, jnp.array(costs, float), 1e4)
+            return _Found(jnp.sort(cost)[:2], jnp.argsort(cost)[:2])
+
+    planner = Costly(
+        SimpleNamespace(selection=SimpleNamespace(min_score=0.5)),
+        replace(PlanConfig(), lesser_scores=(0.0,), lesser_cost=15.0),
+    )
+    candidates = SimpleNamespace(score=jnp.array([0.1, 0.9]), valid=jnp.ones(2, bool))
+    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+    assert planner.search(0, candidates, None, None, None).cost[0] == expected
+
+
 def test_an_object_that_can_be_grasped_nowhere_is_refused_by_name_with_the_hands_span(robot):
     check_graspable("a mug", 0.1, robot.hand)
     with pytest.raises(InputError, match=r"object: found 'crate\.stl', expected one with a place"):

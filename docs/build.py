@@ -26,7 +26,7 @@ from unittest import mock
 ROOT = Path(__file__).resolve().parent.parent
 DOCS, PACKAGE = ROOT / "docs", ROOT / "mjx_grasp"
 GUIDE = ("tutorial", "method", "own-object", "heatmaps", "own-robot", "own-driver")
-GUIDE += ("training", "policies")
+GUIDE += ("training", "policies", "reproduction")
 ELSEWHERE = {
     "experiments/README.md": "results.md",
     "CONTRIBUTING.md": "contributing.md",

@@ -58,6 +58,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
         root / "README.md": {"results": closing_tables.means(results)},
+        root / "docs" / "reproduction.md": {"claims": paper_tables.claims(folder)},
         root / "experiments" / "README.md": {
             "tables": closing_tables.all_conditions(results),
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),

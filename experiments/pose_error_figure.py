@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from paper_tables import PUBLISHED, summed
+from paper_tables import summed
 
 from mjx_grasp.cli import run_command
+from mjx_grasp.evaluation.paper import POSE_ERROR
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
@@ -45,7 +46,7 @@ def main(config: FigureConfig) -> None:
                 color=colour, alpha=0.15, linewidth=0,
             )  # fmt: skip
             ax.plot(x, [c["success"] for c in of], color=colour, marker="o", ms=3.5, label=name)
-        paper = [(offset, s) for (offset, turned), s in PUBLISHED.items() if turned == angle]
+        paper = [(offset, s) for (offset, turned), s in POSE_ERROR.items() if turned == angle]
         if paper:
             ax.plot(
                 *zip(*paper, strict=True), linestyle="", marker="*", ms=11, color="black",

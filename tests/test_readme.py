@@ -59,6 +59,8 @@ def root(tmp_path):
     results.mkdir(parents=True)
     shutil.copy(ROOT / "README.md", tmp_path)
     shutil.copy(ROOT / "experiments" / "README.md", tmp_path / "experiments")
+    (tmp_path / "docs").mkdir()
+    shutil.copy(ROOT / "docs" / "reproduction.md", tmp_path / "docs")
     write_results(results / "five.json", [result("apple", 61, 5.0)], PROVENANCE, FIRST_ROBOT)
     write_results(results / "ten.json", [result("apple", 57, 10.0)], PROVENANCE, FIRST_ROBOT)
     speed = ThroughputRow("ppo", "mjx", 1024, 24, 123_456.0, 7.5)
@@ -219,6 +221,22 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
     detail = (root / "experiments" / "README.md").read_text()
     assert f"{run_name} 50.0 (38–62) | 1.5 | 50.0 |" in detail
     assert f"{run_name} 50.0 (38–62) | 3.0 | 75.0 at 2.0 N |" in detail
+
+
+def test_a_claim_is_judged_by_what_the_files_hold(root):
+    """The policy lifts more than the squeeze here, as published, and slips as often."""
+    results = root / "experiments" / "results"
+    claims = make_readme.paper_tables.claims
+    assert "the policy lifts" not in claims(results)
+    policy = replace(result("sugar_box", 60, 5.0), force_budget_n=3.0)
+    squeeze = replace(
+        result("sugar_box", 30, 5.0), controller="squeeze", squeeze_force_n=3.0, force_mean_n=1.5
+    )
+    write_results(results / "eight_reached.json", [policy, squeeze], PROVENANCE, FIRST_ROBOT)
+    text = claims(results)
+    assert "| 91.9 % against 56.1 % | 93.8 % against 46.9 % | holds |" in text
+    assert "largest on the sugar box | holds |" in text
+    assert "| 8.3 % against 0.8 % | 0.0 % against 0.0 % | does not |" in text
 
 
 def test_stale_sections_fail_the_check_and_stay(root):

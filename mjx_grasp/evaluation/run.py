@@ -28,6 +28,7 @@ from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.tasks.assemble import TaskConfig, World
 from mjx_grasp.tasks.success import FAILURES
 
@@ -77,7 +78,9 @@ def evaluate(
     controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:
-        job = bar.add_task(f"{config.controller} in {config.engine}", total=len(names))
+        threads = f", {usable_cores()} threads" if config.engine == "mujoco" else ""
+        what = f"{config.controller} in {config.engine}{threads}"
+        job = bar.add_task(what, total=len(names))
         for name in names:
             index = world.scene.object_index(name)
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)

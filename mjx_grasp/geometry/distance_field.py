@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.mesh import is_closed
 from mjx_grasp.geometry.signed_distance import DistanceField
+from mjx_grasp.records.provenance import usable_cores
 
 
 def distance_field(
@@ -83,7 +84,7 @@ def _sampled(
     import warp as wp
 
     from mjx_grasp.geometry import distance_field_kernel
-    from mjx_grasp.geometry.warp_device import cores, device, in_threads, launch, load, put
+    from mjx_grasp.geometry.warp_device import device, in_threads, launch, load, put
 
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -104,7 +105,7 @@ def _sampled(
         launch(distance_field_kernel.signed_rows, (len(part), int(shape[1])), inputs)
 
     # More parts than cores, for some have more surface than others.
-    parts = min(8 * cores(), shape[0]) if device().is_cpu else 1
+    parts = min(8 * usable_cores(), shape[0]) if device().is_cpu else 1
     in_threads(rows, np.array_split(np.arange(shape[0]), parts))
     f32 = jnp.float32
     return DistanceField(jnp.asarray(values.numpy()), jnp.asarray(low, f32), f32(spacing))

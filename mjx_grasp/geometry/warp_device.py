@@ -6,7 +6,6 @@ Warp takes half a second to import: import this module, and what it is used by, 
 from __future__ import annotations
 
 import functools
-import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,8 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 import warp as wp
+
+from mjx_grasp.records.provenance import usable_cores
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -74,16 +75,10 @@ def once(build: Callable[[], T]) -> Callable[[], T]:
     return result
 
 
-def cores() -> int:
-    """CPU cores that this process may use."""
-    known = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
-
-
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
     """Threads that stay: to start them takes as long as a query of a whole mesh."""
-    return ThreadPoolExecutor(cores())
+    return ThreadPoolExecutor(usable_cores())
 
 
 def _started() -> Any:

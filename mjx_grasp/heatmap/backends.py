@@ -27,6 +27,7 @@ from mjx_grasp.heatmap.candidates import (
     wrap_seeds,
 )
 from mjx_grasp.heatmap.config import HeatmapConfig
+from mjx_grasp.records.provenance import usable_cores
 
 if TYPE_CHECKING:
     from mjx_grasp.geometry.bvh import MeshTrees
@@ -264,9 +265,7 @@ def bvh_candidates(
 
 def _parts() -> int:
     """Parts of the work: on a CPU one for each core."""
-    from mjx_grasp.geometry.warp_device import cores
-
-    return cores() if jax.default_backend() == "cpu" else 1
+    return usable_cores() if jax.default_backend() == "cpu" else 1
 
 
 @partial(jax.jit, static_argnums=(1, 2))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
@@ -27,6 +26,7 @@ from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.objects.resting import RestingPose, resting_poses
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.provenance import usable_cores
 
 _CACHE_FORMAT = 3
 
@@ -199,7 +199,7 @@ def _derived(
     missing = [name for name in meshes if name not in known]
     if not missing:
         return known
-    cores = os.cpu_count() or 1
+    cores = usable_cores()
     pool = ThreadPoolExecutor(cores)
     with counting_progress(console, transient=True) as progress:
         bar = progress.add_task(_working_on(missing, cores), total=len(missing))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import os
 import platform
 import shlex
 import subprocess
@@ -103,8 +104,6 @@ def device_name(device: Any) -> str:
     """A device in words: the GPU's name, or the processor's with its number of cores."""
     if device.platform != "cpu":
         return str(device.device_kind)
-    import os
-
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
@@ -112,7 +111,13 @@ def device_name(device: Any) -> str:
             if line.startswith("model name"):
                 model = line.split(":", 1)[1].strip()
                 break
-    return f"CPU, {os.cpu_count()} cores ({model})"
+    return f"CPU, {usable_cores()} cores ({model})"
+
+
+def usable_cores() -> int:
+    """CPU cores that this process may use, which a cluster or container may have limited."""
+    known = hasattr(os, "sched_getaffinity")  # not on macOS
+    return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
 
 
 def _root() -> Path:

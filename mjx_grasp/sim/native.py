@@ -7,7 +7,6 @@ The engine keeps no state of its own between calls: state goes in and comes out 
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import (
     Truth,
@@ -46,13 +46,13 @@ class NativePhysics:
     Args:
         scene: The scene whose objects the worlds hold.
         control_dt: Control period [s].
-        threads: Worker threads; all cores by default.
+        threads: Worker threads; by default one for each core that this process may use.
     """
 
     def __init__(self, scene: Scene, control_dt: float = 0.01, threads: int | None = None):
         self.scene = scene
         self.substeps = check_control_rate(scene, control_dt)
-        self._threads = threads or os.cpu_count() or 1
+        self._threads = threads or usable_cores()
         self._pool = ThreadPoolExecutor(self._threads)
         self._alone = threading.Lock()
         singles = (

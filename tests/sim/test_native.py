@@ -1,3 +1,4 @@
+import os
 from dataclasses import replace
 
 import handmade
@@ -115,6 +116,11 @@ def test_number_of_threads_changes_nothing(scene, starts):
     ctrl = closing_ctrl(scene, starts, ROWS)
     outcomes = [advance(NativePhysics(scene, threads=n), starts, ROWS, ctrl, 12) for n in (1, 3)]
     jax.tree.map(np.testing.assert_array_equal, *outcomes)
+
+
+def test_it_takes_the_cores_that_it_may_use_and_no_others(scene, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 2, 5}, raising=False)
+    assert NativePhysics(scene)._pool._max_workers == 3
 
 
 def test_worlds_leave_no_trace_in_the_next_ones(starts, native, scene):

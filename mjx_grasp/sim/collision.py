@@ -39,12 +39,16 @@ class CollisionChecker:
         """Prepares the check.
 
         Args:
-            scene: A scene of a single object.
+            scene: A scene; where it has several objects a state is of one of them, and the others
+                count for nothing.
         """
         self._addresses = scene.addresses
         self._model = copy.deepcopy(scene.model)
         self._data = mujoco.MjData(self._model)
         self._kind = _geom_kinds(scene.model, scene.robot, scene.addresses.object_geoms)
+        self._owner = np.full(scene.model.ngeom, -1)
+        pieces = [len(obj.pieces) for obj in scene.objects]
+        self._owner[scene.addresses.object_geoms] = np.repeat(np.arange(len(pieces)), pieces)
         model = self._model
         arm = self._kind == _ARM
         model.geom_conaffinity[arm] |= _ROBOT_BITS
@@ -59,6 +63,7 @@ class CollisionChecker:
         q: Float[np.ndarray, " joints"],
         object_pos: Float[np.ndarray, " 3"],
         object_quat: Float[np.ndarray, " 4"],
+        object_index: int = 0,
     ) -> str | None:
         """The first of :data:`REASONS` for which a state is refused, or None if it is clear.
 
@@ -68,11 +73,13 @@ class CollisionChecker:
             q: Configuration in robot order, [rad].
             object_pos: Object origin in world, [m].
             object_quat: Object rotation w-x-y-z.
+            object_index: Which object of the scene.
         """
         found = set()
         for pair in self._penetrations(q, object_pos, object_quat):
             kinds = tuple(sorted(self._kind[list(pair)]))
-            if kinds in _REASON_OF_PAIR and pair not in self._neighbours:
+            there = np.isin(self._owner[list(pair)], (-1, object_index)).all()
+            if there and kinds in _REASON_OF_PAIR and pair not in self._neighbours:
                 found.add(_REASON_OF_PAIR[kinds])
         return next((reason for reason in REASONS if reason in found), None)
 

@@ -158,7 +158,7 @@ class ClosingTask:
 
         physics = self.physics.reset(state.physics, mask, qpos, ctrl)
         fresh = jax.tree.map(select, self._fresh(draw, qpos), tuple(state[1:-1]))
-        state = ClosingState(physics, *fresh, beside=state.beside)
+        state = ClosingState(physics, *fresh)._replace(beside=state.beside)
         return state, self._observe(state)
 
     def tick(
@@ -216,11 +216,14 @@ class ClosingTask:
 
     def pack(self, state: ClosingState) -> dict[str, Any]:
         """See `Task.pack`."""
-        return {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:])}
+        packed = {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:-1])}
+        # Only where there is something: checkpoints of before have no such entry.
+        return packed | ({"beside": state.beside} if state.beside else {})
 
     def unpack(self, packed: dict[str, Any]) -> ClosingState:
         """See `Task.unpack`."""
-        return ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
+        state = ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
+        return state._replace(beside=packed.get("beside", ()))
 
     def _controller(self) -> Closer:
         return Closer.of(self.physics.scene.robot, self.config)

@@ -46,9 +46,10 @@ class CollisionChecker:
         self._model = copy.deepcopy(scene.model)
         self._data = mujoco.MjData(self._model)
         self._kind = _geom_kinds(scene.model, scene.robot, scene.addresses.object_geoms)
-        self._owner = np.full(scene.model.ngeom, -1)
         pieces = [len(obj.pieces) for obj in scene.objects]
-        self._owner[scene.addresses.object_geoms] = np.repeat(np.arange(len(pieces)), pieces)
+        self._owner = np.repeat(np.arange(len(pieces)), pieces)
+        geoms = scene.addresses.object_geoms
+        self._bits = scene.model.geom_contype[geoms], scene.model.geom_conaffinity[geoms]
         model = self._model
         arm = self._kind == _ARM
         model.geom_conaffinity[arm] |= _ROBOT_BITS
@@ -75,13 +76,20 @@ class CollisionChecker:
             object_quat: Object rotation w-x-y-z.
             object_index: Which object of the scene.
         """
+        self._hide_all_but(object_index)
         found = set()
         for pair in self._penetrations(q, object_pos, object_quat):
             kinds = tuple(sorted(self._kind[list(pair)]))
-            there = np.isin(self._owner[list(pair)], (-1, object_index)).all()
-            if there and kinds in _REASON_OF_PAIR and pair not in self._neighbours:
+            if kinds in _REASON_OF_PAIR and pair not in self._neighbours:
                 found.add(_REASON_OF_PAIR[kinds])
         return next((reason for reason in REASONS if reason in found), None)
+
+    def _hide_all_but(self, object_index: int) -> None:
+        geoms, here = self._addresses.object_geoms, self._owner == object_index
+        for of_all, bits in zip(
+            (self._model.geom_contype, self._model.geom_conaffinity), self._bits, strict=True
+        ):
+            of_all[geoms] = np.where(here, bits, 0)
 
     def _penetrations(
         self,

@@ -178,12 +178,12 @@ class ClosingTask:
         measured = as_sensed(measured, robot, closer.tick, joints, errors)
         finite = jnp.isfinite(measured.q).all(-1) & jnp.isfinite(truth.object_pos).all(-1)
 
-        nearer = -_distance(state.measured, targets)
+        before = _distance(state.measured, targets)
         targets = self._targets(state.episode.row, truth)
-        nearer = nearer - _distance(measured, targets)
+        nearer = before - _distance(measured, targets)
         sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
-        before = state.episode._replace(sent=sent)
-        episode, slip = self._followed(before, closer, sensed, measured, truth, targets, action)
+        followed = state.episode._replace(sent=sent)
+        episode, slip = self._followed(followed, closer, sensed, measured, truth, targets, action)
         lift_force = _lift_force(episode, sensed)
         moment = self._moment(
             closer, measured, truth, targets, slip, nearer, lift_force, action, state.episode

@@ -166,13 +166,15 @@ def settings_of(preset: str) -> TrainConfig:
             ),
         )
     if preset == "end-to-end":
-        return TrainConfig(
-            preset="end-to-end",
-            engine="mjx" if has_gpu() else "mujoco",
-            objects=("train",),
-            task=EndToEndConfig(lift=LiftConfig(delay_s=0.0), grip=GripConfig(together=False)),
-            ppo=PPOConfig(worlds=1024, unroll=64, iterations=470, privileged_critic=False),
+        paper = settings_of("paper")
+        own = paper.task
+        task = EndToEndConfig(
+            action=replace(own.action, arm_rate=EndToEndConfig().action.arm_rate),
+            lift=own.lift,
+            grip=own.grip,
+            reward=own.reward,
         )
+        return replace(paper, preset="end-to-end", task=task)
     raise InputError("--preset", preset, "auto, cpu, gpu, paper or end-to-end")
 
 

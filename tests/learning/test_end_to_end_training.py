@@ -138,6 +138,7 @@ def test_the_preset_is_as_published_and_comes_back_from_its_file(monkeypatch):
     assert (task.lift, task.grip, task.reward) == (paper.lift, paper.grip, paper.reward)
     assert task.observation == replace(paper.observation, targets=True)
     assert task.action == replace(paper.action, arm_rate=0.5)
+    assert replace(preset, preset="paper", task=paper) == preset_config("paper")
     for config in (preset, preset_config("paper"), training_config.settings_of("cpu")):
         assert from_stored(to_record(config)) == config
 
@@ -147,7 +148,7 @@ def test_the_command_line_changes_it_by_its_names(capsys):
     task = parse(["--preset", "end-to-end", *flags]).task
     expected = EndToEndConfig(
         **dict(reach_s=2.0, assisted=True, curriculum=CurriculumConfig("measured")),
-        **{name: getattr(preset_config("end-to-end").task, name) for name in ("lift", "grip")},
+        **{n: getattr(preset_config("end-to-end").task, n) for n in ("lift", "grip", "reward")},
     )
     assert task == expected
     with pytest.raises((InputError, SystemExit)):

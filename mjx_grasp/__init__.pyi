@@ -78,6 +78,8 @@ from mjx_grasp.handoff.make import make_handoffs as make_handoffs
 # Tasks and learning
 from mjx_grasp.tasks.closing import ClosingTask as ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig as ClosingTaskConfig
+from mjx_grasp.tasks.end_to_end import EndToEndTask as EndToEndTask
+from mjx_grasp.tasks.config import EndToEndConfig as EndToEndConfig
 from mjx_grasp.tasks.rewards import RewardTerm as RewardTerm
 from mjx_grasp.tasks.task import Task as Task
 from mjx_grasp.learning.brax_env import BraxTask as BraxTask

@@ -162,12 +162,7 @@ class Closer:
         begins = stages.lift_begins(touching, state.tick * config.control_dt, config.stages)
         lifting = state.lifting | begins
         landed = state.landed | touching
-        left = way_left(measured.pad_pos, state.start_pos, targets.position)
-        limit = math.inf if config.grip.approach_s is None else config.grip.approach_s
-        late = (state.tick - 1) * config.control_dt >= limit
-        there = landed | (left < config.grip.arrival) | (late | lifting)[..., None]
-        if config.grip.together:
-            there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
+        there = self.there(state, measured, targets, landed, lifting)
         gripping = there | (state.grip_ticks > 0)
         state = state._replace(observer=observer)
         load = self.load(state, measured, targets)
@@ -192,22 +187,14 @@ class Closer:
         config, joints, at = self.config, self.joints, self.joints.at
         fingers, dt = len(at.fingers), config.control_dt
         jacobian = control.pad_jacobians(measured, at.per_finger)
-        field = self.guidance(state, measured, targets)
-        rates = control.guided_rates(jacobian, field, config.guidance)
-        by_force = state.lifting[..., None] | (state.landed & config.grip.freezes)
-        if config.grip.follow:  # a force brings a finger that has arrived short of the object to it
-            by_force |= state.grip_ticks > 0
-        q = measured.q[..., at.per_finger]
-        hold = control.hold_until_landed(
-            state.hold, q, rates, by_force, dt, config.guidance, self.follow(state)
-        )
+        hold, residual = self.finger_targets(state, measured, targets, jacobian, action)
         share = stages.grip_share(state.grip_ticks * dt, config.grip)
         trim = control.update_trim(state.trim, action, config.action)
         state = state._replace(trim=trim)
-        force = self.grip_force(state)[..., None] * finger_shares(q.shape[-2], config.grip) * share
+        shares = finger_shares(hold.shape[-2], config.grip)
+        force = self.grip_force(state)[..., None] * shares * share
         press = press_directions(measured.pad_pos, targets.normal, config.grip)
         torque = control.grip_torques(jacobian, press, force)
-        residual = control.update_residual(state.residual, action[..., :fingers], dt, config.action)
 
         speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
         palm = control.palm_jacobian(measured, at.arm_policy)
@@ -224,6 +211,52 @@ class Closer:
         command = state.rest.at[..., at.arm].set(arm).at[..., at.fingers].set(target)
         after = state._replace(tick=state.tick + 1, hold=hold, residual=residual, arm=arm)
         return after, command
+
+    def there(
+        self,
+        state: CloserState,
+        measured: Measured,
+        targets: ThreePoints,
+        landed: Bool[Array, "*b f"],
+        lifting: Bool[Array, "*b"],
+    ) -> Bool[Array, "*b f"]:
+        """Which fingers are where they shall grip: landed, arrived, or late."""
+        grip = self.config.grip
+        left = self.way_left(state, measured, targets)
+        limit = math.inf if grip.approach_s is None else grip.approach_s
+        late = (state.tick - 1) * self.config.control_dt >= limit
+        there = landed | (left < grip.arrival) | (late | lifting)[..., None]
+        if grip.together:
+            there = jnp.broadcast_to(there.all(axis=-1, keepdims=True), there.shape)
+        return there
+
+    def way_left(
+        self, state: CloserState, measured: Measured, targets: ThreePoints
+    ) -> Float[Array, "*b f"]:
+        """How far each pad still has to go [m]."""
+        return way_left(measured.pad_pos, state.start_pos, targets.position)
+
+    def finger_targets(
+        self,
+        state: CloserState,
+        measured: Measured,
+        targets: ThreePoints,
+        jacobian: Float[Array, "*b f 6 j"],
+        action: Float[Array, "*b k"],
+    ) -> tuple[Float[Array, "*b f j"], Float[Array, "*b m"]]:
+        """Guided targets and the policy's share beside them, without the grip [rad]."""
+        config, at, dt = self.config, self.joints.at, self.config.control_dt
+        field = self.guidance(state, measured, targets)
+        rates = control.guided_rates(jacobian, field, config.guidance)
+        by_force = state.lifting[..., None] | (state.landed & config.grip.freezes)
+        if config.grip.follow:  # a force brings a finger that has arrived short of the object to it
+            by_force |= state.grip_ticks > 0
+        q = measured.q[..., at.per_finger]
+        hold = control.hold_until_landed(
+            state.hold, q, rates, by_force, dt, config.guidance, self.follow(state)
+        )
+        own = action[..., : len(at.fingers)]
+        return hold, control.update_residual(state.residual, own, dt, config.action)
 
     def guidance(
         self, state: CloserState, measured: Measured, targets: ThreePoints

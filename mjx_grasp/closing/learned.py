@@ -28,6 +28,12 @@ class ObservationConfig(Settings):
     the grip's own force stand beside joints and actions; for a torque-sensed hand"""
     budget: bool = False
     """whether the force budget does, the mean force per finger that a grasp may take"""
+    targets: bool = False
+    """whether the three contacts do, in the palm's frame"""
+    normals: bool = False
+    """whether the surface's normals there do, in the same frame"""
+    arm: bool = False
+    """whether the positions of the arm's joints do"""
     ticks_ago: Annotated[tuple[WholeNumber, ...], Several(ascending=True, strictly=True)] = (0, 1)
     """the ticks that are stacked, the newest first [-]"""
 
@@ -64,11 +70,18 @@ def observed_step(
         config: What is seen.
     """
     at = closer.joints.at.fingers
-    step = proprioception(measured.q[..., at], measured.qd[..., at], last_action)
-    if not config.forces:
-        return step
-    load = closer.load(state, measured, targets)
-    return jnp.concatenate([step, felt(*load, closer.grip_force(state))], axis=-1)
+    parts = [proprioception(measured.q[..., at], measured.qd[..., at], last_action)]
+    if config.forces:
+        load = closer.load(state, measured, targets)
+        parts.append(felt(*load, closer.grip_force(state)))
+    if config.targets:
+        away = targets.position - measured.palm_pos[..., None, :]
+        parts.append(in_palm_axes(measured, away))
+    if config.normals:
+        parts.append(in_palm_axes(measured, targets.normal))
+    if config.arm:
+        parts.append(measured.q[..., closer.joints.at.arm])
+    return jnp.concatenate(parts, axis=-1)
 
 
 def first_stack(step: Float[Array, "*b d"], config: ObservationConfig) -> Float[Array, "*b s d"]:
@@ -109,3 +122,9 @@ def felt(
 ) -> Float[Array, "*b e"]:
     """Beside it for a torque-sensed hand: forces of the fingers and the grip's own, in 5 N."""
     return jnp.concatenate([normal, tangential, level[..., None]], axis=-1) / FORCE_UNIT
+
+
+def in_palm_axes(measured: Measured, vectors: Float[Array, "*b n 3"]) -> Float[Array, "*b m"]:
+    """World vectors by their components along the palm's axes, one after the other."""
+    along = jnp.sum(measured.palm_mat[..., None, :, :] * vectors[..., None], axis=-2)
+    return along.reshape(*along.shape[:-2], -1)

@@ -10,7 +10,8 @@ from brax.envs.base import Env, State
 from jaxtyping import Array, Float
 
 from mjx_grasp.learning.devices import ONE_DEVICE, Devices
-from mjx_grasp.tasks.task import Task
+from mjx_grasp.tasks.curriculum import Learnt
+from mjx_grasp.tasks.task import PacedTask, Task
 
 EPISODE_FIELDS = (
     "truncation",
@@ -123,6 +124,18 @@ class BraxTask(Env):
         draw = task.draw(self.devices.own_key(draw_key), self.worlds)
         after, obs = task.reset(after, done, draw)
         return State(after, obs, reward, done.astype(jnp.float32), {}, info)
+
+    @property
+    def pace_names(self) -> tuple[str, ...]:
+        """What `paced` gives to log."""
+        return self.task.pace_names if isinstance(self.task, PacedTask) else ()
+
+    def paced(self, state: State, learnt: Learnt) -> tuple[State, dict[str, Float[Array, ""]]]:
+        """After an iteration: a task that goes with the training is told how far it has come."""
+        if not isinstance(self.task, PacedTask):
+            return state, {}
+        after, said = self.task.paced(state.pipeline_state, learnt)
+        return state.replace(pipeline_state=after), said
 
     def incident(self, state: State) -> dict[str, Array]:
         """The snapshot in which a world last stopped being finite, from whichever device."""

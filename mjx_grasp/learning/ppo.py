@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import Devices
+from mjx_grasp.tasks.curriculum import Learnt
 
 
 class TrainState(NamedTuple):
@@ -196,6 +197,13 @@ def make_iteration(
         broken = jnp.sum(data.extras["state_extras"]["broken"])
         incident = devices.that_of_most(env_state.info["incident"], broken)
         env_state = env_state.replace(info=env_state.info | {"incident": incident})
+        learnt = Learnt(
+            share=(state.iteration + 1) / config.iterations,
+            episodes=metrics["episodes"],
+            successes=devices.sum(jnp.sum(data.extras["state_extras"]["episode_success"])),
+        )
+        env_state, said = env.paced(env_state, learnt)
+        metrics |= said
         done = TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1)
         return (learner_of(done), metrics), env_state
 

@@ -89,7 +89,7 @@ def train_loop(
     given = 0 if devices.count == 1 else ()
     iteration = jax.jit(make_iteration(ppo, env), donate_argnums=given)
     start = int(state.iteration)
-    columns = (*COLUMNS, *reward_columns(env.task.reward_names).values())
+    columns = (*COLUMNS, *env.pace_names, *reward_columns(env.task.reward_names).values())
     log: MetricLog | NoLog = (
         MetricLog(folder, columns, start, loop.wandb_project, run_config)
         if devices.writes

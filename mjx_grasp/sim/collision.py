@@ -39,12 +39,17 @@ class CollisionChecker:
         """Prepares the check.
 
         Args:
-            scene: A scene of a single object.
+            scene: A scene; where it has several objects a state is of one of them, and the others
+                count for nothing.
         """
         self._addresses = scene.addresses
         self._model = copy.deepcopy(scene.model)
         self._data = mujoco.MjData(self._model)
         self._kind = _geom_kinds(scene.model, scene.robot, scene.addresses.object_geoms)
+        pieces = [len(obj.pieces) for obj in scene.objects]
+        self._owner = np.repeat(np.arange(len(pieces)), pieces)
+        geoms = scene.addresses.object_geoms
+        self._bits = scene.model.geom_contype[geoms], scene.model.geom_conaffinity[geoms]
         model = self._model
         arm = self._kind == _ARM
         model.geom_conaffinity[arm] |= _ROBOT_BITS
@@ -59,6 +64,7 @@ class CollisionChecker:
         q: Float[np.ndarray, " joints"],
         object_pos: Float[np.ndarray, " 3"],
         object_quat: Float[np.ndarray, " 4"],
+        object_index: int = 0,
     ) -> str | None:
         """The first of :data:`REASONS` for which a state is refused, or None if it is clear.
 
@@ -68,13 +74,22 @@ class CollisionChecker:
             q: Configuration in robot order, [rad].
             object_pos: Object origin in world, [m].
             object_quat: Object rotation w-x-y-z.
+            object_index: Which object of the scene.
         """
+        self._hide_all_but(object_index)
         found = set()
         for pair in self._penetrations(q, object_pos, object_quat):
             kinds = tuple(sorted(self._kind[list(pair)]))
             if kinds in _REASON_OF_PAIR and pair not in self._neighbours:
                 found.add(_REASON_OF_PAIR[kinds])
         return next((reason for reason in REASONS if reason in found), None)
+
+    def _hide_all_but(self, object_index: int) -> None:
+        geoms, here = self._addresses.object_geoms, self._owner == object_index
+        for of_all, bits in zip(
+            (self._model.geom_contype, self._model.geom_conaffinity), self._bits, strict=True
+        ):
+            of_all[geoms] = np.where(here, bits, 0)
 
     def _penetrations(
         self,

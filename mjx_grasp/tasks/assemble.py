@@ -18,7 +18,8 @@ from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import Physics, check_control_rate
 from mjx_grasp.sim.scene import Scene, SceneConfig, build_scene
 from mjx_grasp.tasks.closing import ClosingTask
-from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig, StartNoise
+from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.tasks.starts import StartTable, build_starts
 from mjx_grasp.tasks.task import Task
@@ -26,7 +27,7 @@ from mjx_grasp.tasks.task import Task
 Engine = Literal["mjx", "mujoco"]
 
 TaskConfig = ClosingTaskConfig
-"""The tasks there are."""
+"""The tasks there are: the closing task, and what derives from its settings."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,10 @@ class World:
             if engine == "mjx"
             else NativePhysics(self.scene, config.control_dt)
         )
-        return ClosingTask(physics, self.starts, config, noise, with_privileged, extra_terms)
+        beside = (noise, with_privileged, extra_terms)
+        if isinstance(config, EndToEndConfig):
+            return EndToEndTask(physics, self.starts, config, *beside)
+        return ClosingTask(physics, self.starts, config, *beside)
 
 
 def build_scene_of(

@@ -17,6 +17,7 @@ from mjx_grasp.closing import control
 from mjx_grasp.closing.closer import Closer, CloserState
 from mjx_grasp.closing.learned import first_stack, observation, observed_step, pushed
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
@@ -71,6 +72,15 @@ class Episode(NamedTuple):
     """the number of those ticks"""
 
 
+class Standing(NamedTuple):
+    """A robot at rest where an episode begins, with its controller; a row of a table."""
+
+    qpos: Float[Array, "n nq"]
+    ctrl: Float[Array, "n nu"]
+    measured: Measured
+    closer: CloserState
+
+
 class ClosingState(NamedTuple):
     """All that the task carries from tick to tick."""
 
@@ -80,6 +90,8 @@ class ClosingState(NamedTuple):
     truth: Truth
     closer: CloserState
     episode: Episode
+    beside: Any = ()
+    """what a task that builds on this one remembers over resets"""
 
 
 class ClosingTask:
@@ -108,7 +120,7 @@ class ClosingTask:
     ):
         self.physics, self.starts = physics, starts
         self.config, self.noise = config or ClosingTaskConfig(), noise or StartNoise()
-        self.closer = Closer.of(physics.scene.robot, self.config)
+        self.closer = self._controller()
         self.terms = (*closing_terms(self.config.reward), *extra_terms)
         self.reward_names = tuple(term.name for term in self.terms)
         if len(set(self.reward_names)) < len(self.terms):
@@ -122,7 +134,7 @@ class ClosingTask:
         self._ctrl_order = np.argsort(physics.scene.addresses.robot_ctrl)
         self._turned = self.noise.angle_rad > 0
         # Of every start once: a reset gathers its rows.
-        self._closers = self.closer.start(starts.measured, starts.targets)
+        self._standing = self._table()
 
     def draw(self, key: Array, worlds: int) -> StartDraw:
         """See `Task.draw`."""
@@ -131,7 +143,8 @@ class ClosingTask:
     def start(self, draw: StartDraw) -> tuple[ClosingState, Observations]:
         """See `Task.start`."""
         qpos, ctrl = self._start_arrays(draw)
-        state = ClosingState(self.physics.init(qpos, ctrl), *self._fresh(draw, qpos))
+        fresh = self._fresh(draw, qpos)
+        state = ClosingState(self.physics.init(qpos, ctrl), *fresh, self._beside(len(draw.row)))
         return state, self._observe(state)
 
     def reset(
@@ -144,9 +157,8 @@ class ClosingTask:
             return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
         physics = self.physics.reset(state.physics, mask, qpos, ctrl)
-        state = ClosingState(
-            physics, *jax.tree.map(select, self._fresh(draw, qpos), tuple(state[1:]))
-        )
+        fresh = jax.tree.map(select, self._fresh(draw, qpos), tuple(state[1:-1]))
+        state = ClosingState(physics, *fresh)._replace(beside=state.beside)
         return state, self._observe(state)
 
     def tick(
@@ -154,7 +166,7 @@ class ClosingTask:
     ) -> tuple[ClosingState, TaskTick]:
         """See `Task.tick`; finger residuals, then arm residuals."""
         action = jnp.clip(action, -1.0, 1.0)
-        targets = self._targets(state.episode)
+        targets = self._targets(state.episode.row, state.truth)
         closer, target = self.closer.act(state.closer, state.measured, targets, action)
         robot, errors, joints = state.episode.robot, self.noise.robot, self.closer.joints
         target, sent = arriving(
@@ -166,18 +178,22 @@ class ClosingTask:
         measured = as_sensed(measured, robot, closer.tick, joints, errors)
         finite = jnp.isfinite(measured.q).all(-1) & jnp.isfinite(truth.object_pos).all(-1)
 
+        before = _distance(state.measured, targets)
+        targets = self._targets(state.episode.row, truth)
+        nearer = before - _distance(measured, targets)
         sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
-        before = state.episode._replace(sent=sent)
-        episode, slip = self._followed(before, closer, sensed, measured, truth, action)
+        followed = state.episode._replace(sent=sent)
+        episode, slip = self._followed(followed, closer, sensed, measured, truth, targets, action)
         lift_force = _lift_force(episode, sensed)
         moment = self._moment(
-            closer, measured, truth, targets, slip, lift_force, action, state.episode
+            closer, measured, truth, targets, slip, nearer, lift_force, action, state.episode
         )
         rewards = {
             term.name: jnp.where(finite, term.weight * term.value(moment), 0.0)
             for term in self.terms
         }
-        state = ClosingState(physics, state.params, measured, truth, sensed, episode)
+        after = (measured, truth, sensed, episode, state.beside)
+        state = ClosingState(physics, state.params, *after)
         return state, TaskTick(self._observe(state), rewards, ~finite, truth.overflow)
 
     def summary(self, state: ClosingState) -> EpisodeSummary:
@@ -200,14 +216,35 @@ class ClosingTask:
 
     def pack(self, state: ClosingState) -> dict[str, Any]:
         """See `Task.pack`."""
-        return {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:])}
+        packed = {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:-1])}
+        # Only where there is something: checkpoints of before have no such entry.
+        return packed | ({"beside": state.beside} if state.beside else {})
 
     def unpack(self, packed: dict[str, Any]) -> ClosingState:
         """See `Task.unpack`."""
-        return ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
+        state = ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
+        return state._replace(beside=packed.get("beside", ()))
 
-    def _targets(self, episode: Episode) -> ThreePoints:
-        return jax.tree.map(lambda rows: rows[episode.row], self.starts.targets)
+    def _controller(self) -> Closer:
+        return Closer.of(self.physics.scene.robot, self.config)
+
+    def _table(self) -> Standing:
+        """All beginnings of episodes."""
+        starts = self.starts
+        closer = self.closer.start(starts.measured, starts.targets)
+        return Standing(starts.qpos, starts.ctrl, starts.measured, closer)
+
+    def _beginning(self, draw: StartDraw) -> Int[Array, " w"]:
+        """Which of them a draw means."""
+        return draw.row
+
+    def _beside(self, worlds: int) -> Any:
+        """What the state holds beside at first."""
+        return ()
+
+    def _targets(self, row: Int[Array, " w"], truth: Truth) -> ThreePoints:
+        """The contacts to close on: those of the handoff, wherever the object is now."""
+        return jax.tree.map(lambda rows: rows[row], self.starts.targets)
 
     def _moment(
         self,
@@ -216,6 +253,7 @@ class ClosingTask:
         truth: Truth,
         targets: ThreePoints,
         slip: Float[Array, " w"],
+        nearer: Float[Array, " w"],
         lift_force: Float[Array, " w"],
         action: Float[Array, "w k"],
         before: Episode,
@@ -226,12 +264,13 @@ class ClosingTask:
             measured=measured,
             truth=truth,
             lifting=closer.lifting,
-            in_time=closer.tick * self.control_dt <= self.config.stages.acquisition_s,
+            in_time=closer.tick * self.control_dt <= self.closer.config.stages.acquisition_s,
             guidance=self.closer.guidance(closer, measured, targets),
             pad_twist=control.pad_twists(measured, at),
             palm_velocity=jnp.sum(palm[:, :3] * measured.qd[:, None, at.arm], axis=-1),
             lift_speed=self.closer.lift_speed(closer),
             slip=slip,
+            nearer=nearer,
             lift_force=lift_force,
             budget=before.budget,
             action=action,
@@ -246,6 +285,7 @@ class ClosingTask:
         sensed: CloserState,
         measured: Measured,
         truth: Truth,
+        targets: ThreePoints,
         action: Float[Array, "w k"],
     ) -> tuple[Episode, Float[Array, " w"]]:
         """What came of the tick, and how far the object has slipped in the palm [m]."""
@@ -256,7 +296,7 @@ class ClosingTask:
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
         held = sensed.lifting & (rise > _OFF_THE_TABLE_M) & (slip < self.config.success.slip)
-        step = self._step(sensed, measured, self._targets(before), action)
+        step = self._step(sensed, measured, targets, action)
         episode = before._replace(
             action=action,
             last_action=before.action,
@@ -290,7 +330,7 @@ class ClosingTask:
             proprio,
             measured,
             truth,
-            self._targets(episode),
+            self._targets(episode.row, truth),
             closer.landed,
             scalars=(
                 closer.lifting.astype(jnp.float32),
@@ -306,26 +346,25 @@ class ClosingTask:
         return {"state": proprio, "privileged_state": critic}
 
     def _start_arrays(self, draw: StartDraw) -> tuple[Float[Array, "w nq"], Float[Array, "w nu"]]:
-        at = self.physics.scene.addresses
+        at, k = self.physics.scene.addresses, self._beginning(draw)
         pose = placed_object(self.starts, draw, self._turned)
-        qpos = self.starts.qpos[draw.row].at[:, at.object_qpos].set(pose)
-        return qpos, self.starts.ctrl[draw.row]
+        qpos = self._standing.qpos[k].at[:, at.object_qpos].set(pose)
+        return qpos, self._standing.ctrl[k]
 
     def _fresh(
         self, draw: StartDraw, qpos: Float[Array, "w nq"]
     ) -> tuple[WorldParams, Measured, Truth, CloserState, Episode]:
         """All but the physics of worlds that start."""
         at, starts = self.physics.scene.addresses, self.starts
-        measured, truth, closer = jax.tree.map(
-            lambda rows: rows[draw.row], (starts.measured, starts.truth, self._closers)
-        )
+        k, standing = self._beginning(draw), self._standing
+        measured, closer = jax.tree.map(lambda rows: rows[k], (standing.measured, standing.closer))
+        truth = jax.tree.map(lambda rows: rows[draw.row], starts.truth)
         truth = truth._replace(
             object_pos=qpos[:, at.object_qpos[:3]], object_quat=qpos[:, at.object_qpos[3:]]
         )
         w = len(draw.row)
         action, zeros = jnp.zeros((w, self.action_size)), jnp.zeros(w)
-        targets = jax.tree.map(lambda rows: rows[draw.row], starts.targets)
-        first = self._step(closer, measured, targets, action)
+        first = self._step(closer, measured, self._targets(draw.row, truth), action)
         delay = longest_delay(self.noise.robot, self.control_dt)
         episode = Episode(
             row=draw.row,
@@ -349,6 +388,11 @@ class ClosingTask:
 def _lift_force(episode: Episode, closer: CloserState) -> Float[Array, " w"]:
     """Mean force per finger since lift onset, 0 before [N]."""
     return episode.force_sum / (closer.lift_tick + 1)  # the onset's own tick counts
+
+
+def _distance(measured: Measured, targets: ThreePoints) -> Float[Array, " w"]:
+    """Of the pads from their contacts, mean [m]."""
+    return jnp.mean(norm(targets.position - measured.pad_pos), axis=-1)
 
 
 _OFF_THE_TABLE_M = 0.01

@@ -1,13 +1,13 @@
-"""Every number of the closing task beside its controller's (method §5, §7)."""
+"""Every number of the tasks beside their controller's (method §5 to §7)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any, Literal
 
-from mjx_grasp.closing.config import CloserConfig
+from mjx_grasp.closing.config import ActionConfig, CloserConfig
 from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import (
@@ -19,6 +19,7 @@ from mjx_grasp.records.settings import (
     Share,
     from_record,
 )
+from mjx_grasp.tasks.curriculum import CurriculumConfig
 
 MAX_OFFSET_M = 0.05
 """Largest object offset that a start may have [m]."""
@@ -64,6 +65,9 @@ class RewardConfig(Settings):
     """times the largest force on a finger beyond `hard_from`, at any time [1/N]"""
     hard_from: NonNegative = 8.0
     """force on one finger that counts as hard [N]"""
+    way_left: Finite = 0.0
+    """times how much nearer to their contacts the pads have come in the tick, mean; of an episode
+    it is paid for the way alone, however long that takes [1/m]"""
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,57 @@ class ClosingTaskConfig(CloserConfig):
     def episode_ticks(self) -> int:
         """Control ticks of an episode."""
         return round(self.episode_s / self.control_dt)
+
+
+@dataclass(frozen=True)
+class EndToEndConfig(ClosingTaskConfig):
+    """The closing task from farther away: one policy reaches, closes and lifts (method §6)."""
+
+    kind: Literal["end_to_end"] = "end_to_end"
+    """by which files tell the tasks apart; the closing task has none"""
+    episode_s: Positive = 9.0
+    """time to reach, close, lift and hold [s]"""
+    reach_s: NonNegative = 3.0
+    """time for reaching, before that for contact acquisition begins [s]"""
+    action: ActionConfig = field(
+        default_factory=lambda: ActionConfig(arm_rate=0.5, residual="integrated")
+    )
+    observation: ObservationConfig = field(default_factory=lambda: ObservationConfig(targets=True))
+    assisted: bool = False
+    """whether guidance and grip move the fingers before the lift too, with the actions added"""
+    postures: Annotated[int, Range(2, 1000)] = 17
+    """in which an episode may begin, evenly on the straight line in joint space from each handoff
+    to home, both included [-]"""
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reach_s >= self.episode_s:
+            least = f"less than episode_s ({self.episode_s:g})"
+            raise InputError(self.name_of("reach_s"), self.reach_s, least)
+
+    @property
+    def controller(self) -> CloserConfig:
+        """The closer's settings, its times counted from an episode's start."""
+        own = {f.name: getattr(self, f.name) for f in fields(CloserConfig)}
+        closer = CloserConfig(**own)
+        later, approach = self.reach_s, self.grip.approach_s
+        return replace(
+            closer,
+            stages=replace(self.stages, acquisition_s=later + self.stages.acquisition_s),
+            grip=replace(self.grip, approach_s=None if approach is None else later + approach),
+        )
+
+    @property
+    def closing(self) -> ClosingTaskConfig:
+        """The closing task with the same grip, lift and success, where no policy reaches."""
+        return ClosingTaskConfig(
+            control_dt=self.control_dt,
+            grip=self.grip,
+            lift=self.lift,
+            stages=self.stages,
+            success=self.success,
+        )
 
 
 @dataclass(frozen=True)
@@ -161,6 +216,8 @@ def check_range(settings: Settings, name: str) -> None:
 def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:
     """The task that a file describes, of today or of when all its numbers were one flat list.
 
+    A record without `kind` is the closing task's.
+
     Args:
         record: Values of JSON.
         where: What they are called in messages.
@@ -170,7 +227,8 @@ def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:
     """
     if isinstance(record, Mapping) and not _ONLY_FLAT.isdisjoint(record):
         record = _nested(record, where)
-    return from_record(ClosingTaskConfig, record, where)
+    other = isinstance(record, Mapping) and "kind" in record
+    return from_record(EndToEndConfig if other else ClosingTaskConfig, record, where)
 
 
 def _nested(flat: Mapping[str, Any], where: str) -> dict[str, Any]:

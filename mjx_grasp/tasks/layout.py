@@ -53,6 +53,13 @@ def observation_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Seg
             ("sliding_force", fingers, "N", FORCE_UNIT),
             ("grip_force", ("grip",), "N", FORCE_UNIT),
         ]
+    along = tuple(f"{finger}.{axis}" for finger in fingers for axis in "xyz")
+    if seen.targets:
+        step.append(("target", along, "m", 1.0))
+    if seen.normals:
+        step.append(("target_normal", along, "-", 1.0))
+    if seen.arm:
+        step.append(("arm_position", robot.arm.joints, "rad", 1.0))
     parts: list[_Part] = [(*part, ago) for ago in reversed(seen.ticks_ago) for part in step]
     if seen.budget:
         parts.append(("force_budget", ("grip",), "N", FORCE_UNIT, None))

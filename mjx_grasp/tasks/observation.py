@@ -16,9 +16,12 @@ from mjx_grasp.tasks.config import ClosingTaskConfig
 
 def policy_sizes(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[int, int]:
     """How many numbers a policy of the task reads, and with how many it answers."""
-    joints, fingers = len(robot.hand.policy_joints), len(robot.hand.fingers)
+    joints, fingers, arm = (
+        len(part) for part in (robot.hand.policy_joints, robot.hand.fingers, robot.arm.joints)
+    )
     actions, seen = action_size(robot_indices(robot), config.action), config.observation
     step = 2 * joints + actions + seen.forces * (2 * fingers + 1)
+    step += (seen.targets + seen.normals) * 3 * fingers + seen.arm * arm
     return len(seen.ticks_ago) * step + seen.budget, actions
 
 

@@ -37,6 +37,8 @@ class Moment(NamedTuple):
     """of the scripted lift [m/s]"""
     slip: Float[Array, "*b"]
     """palm-frame displacement of the object since lift onset [m]"""
+    nearer: Float[Array, "*b"]
+    """by how much the pads have come nearer to their contacts in the tick, mean [m]"""
     lift_force: Float[Array, "*b"]
     """mean force per finger since lift onset, 0 before [N]"""
     budget: Float[Array, "*b"]
@@ -56,7 +58,7 @@ class RewardTerm:
 
 
 def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
-    """The publication's terms; then, where they have a weight, those of a firm and gentle hold."""
+    """The publication's terms; then, where they have a weight, of the way and of a gentle hold."""
     published = (
         RewardTerm("reach", config.reach, lambda m: jnp.where(m.lifting, 0.0, reach(m, config))),
         RewardTerm("lift", config.lift, lambda m: jnp.where(m.lifting, lift(m, config), 0.0)),
@@ -64,13 +66,14 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("action_rate", config.action_rate, action_rate),
         RewardTerm("action_acceleration", config.action_acceleration, action_acceleration),
     )
-    gentle = (
+    optional = (
+        RewardTerm("way_left", config.way_left, lambda m: m.nearer),
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
         RewardTerm("hard", config.hard, lambda m: hard(m, config)),
     )
-    return (*published, *(term for term in gentle if term.weight))
+    return (*published, *(term for term in optional if term.weight))
 
 
 def reach(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:

@@ -53,6 +53,9 @@ class StartDraw(NamedTuple):
     budget: Float[Array, " w"]
     """Force budget [N]."""
     robot: RobotDraw
+    way: Float[Array, " w"] | None = None
+    """Where a task that begins before the handoff does: the share of the way home, of what its
+    curriculum allows; None for home itself. The closing task begins at the handoff [-]."""
 
 
 def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTable:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.tasks.curriculum import Learnt
 from mjx_grasp.tasks.starts import StartDraw, StartTable
 
 TaskState = Any
@@ -96,4 +97,21 @@ class Task(Protocol):
 
     def unpack(self, packed: Any) -> TaskState:
         """The state that `pack` described."""
+        ...
+
+
+@runtime_checkable
+class PacedTask(Task, Protocol):
+    """A task that a training makes harder as it goes on."""
+
+    pace_names: tuple[str, ...]
+    """what `paced` gives to log"""
+
+    def paced(
+        self, state: TaskState, learnt: Learnt
+    ) -> tuple[TaskState, dict[str, Float[Array, ""]]]:
+        """After an iteration: the state with what is changed for episodes to come.
+
+        The second result is to be logged, and has to come out alike on every device.
+        """
         ...

@@ -23,7 +23,7 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig, build_scene
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
-from mjx_grasp.tasks.config import StartNoise
+from mjx_grasp.tasks.config import EndToEndConfig, StartNoise
 from mjx_grasp.training.config import TrainConfig
 
 SQUEEZE_FORCES_N = (3.0, 5.0, 8.0)
@@ -53,19 +53,22 @@ def evaluate_run(
     held_out = build_world(scene, states, task.control_dt)
     rows: list[ResultRow] = []
     runs: list[Trials] = []
-    others = baselines(base, task)
+    # Without a policy nothing reaches: what the policy is compared with begins at the handoffs.
+    alone = task.closing if isinstance(task, EndToEndConfig) else task
+    others = baselines(base, alone)
     budgets = FORCE_BUDGETS_N if task.observation.budget else (base.force_budget,)
     own = [(replace(base, force_budget=budget), policy) for budget in budgets]
     for chosen, controller in (*own, *((other, None) for other in others)):
         new, trials = evaluate(
-            held_out, states.object_names, chosen, controller, states.reached, console, task
+            held_out, states.object_names, chosen, controller, states.reached, console, alone
         )
         rows += new
         runs += trials.values()
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed)
     robot = scene.robot.identity
-    untrained = {} if answers_to_load(task) else {"untrained_n": task.grip.force}
+    adds_to_squeeze = alone is task and not answers_to_load(task)
+    untrained = {"untrained_n": task.grip.force} if adds_to_squeeze else {}
     write_results(base.out, rows, made, robot, label=label, **untrained, **counted)
     console.print(success_table(rows, scans=config.scans))
     for force in untrained.values():

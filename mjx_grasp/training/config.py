@@ -23,17 +23,17 @@ from mjx_grasp.records.settings import (
     Seed,
     WholeNumber,
     from_record,
-    to_record,
 )
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
 from mjx_grasp.tasks.config import (
+    EndToEndConfig,
     RewardConfig,
     StartNoise,
     task_from_record,
 )
 
-Preset = Literal["auto", "cpu", "gpu", "paper"]
+Preset = Literal["auto", "cpu", "gpu", "paper", "end-to-end"]
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,11 @@ class TrainConfig(ObjectsConfig):
     """A training run."""
 
     preset: Preset = "auto"
-    """cpu, gpu, paper; auto takes gpu where JAX finds one and cpu otherwise. What this help shows
-    as the other settings' defaults is what the preset sets. cpu and gpu train a policy that feels
-    forces and is given a budget of them, on a grip that answers to load; paper has the published
-    observation, command, actions, critic and number of worlds and steps."""
+    """cpu, gpu, paper, end-to-end; auto takes gpu where JAX finds one and cpu otherwise. What this
+    help shows as the other settings' defaults is what the preset sets. cpu and gpu train a policy
+    that feels forces and is given a budget of them, on a grip that answers to load; paper has the
+    published observation, command, actions, critic and number of worlds and steps; end-to-end is
+    the publication's baseline of one policy that reaches, closes and lifts."""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     handoffs: Path | None = None
@@ -164,7 +165,17 @@ def settings_of(preset: str) -> TrainConfig:
                 worlds=1024, unroll=64, iterations=470, tuning=10, privileged_critic=False
             ),
         )
-    raise InputError("--preset", preset, "auto, cpu, gpu or paper")
+    if preset == "end-to-end":
+        paper = settings_of("paper")
+        own = paper.task
+        task = EndToEndConfig(
+            action=replace(own.action, arm_rate=EndToEndConfig().action.arm_rate),
+            lift=own.lift,
+            grip=own.grip,
+            reward=own.reward,
+        )
+        return replace(paper, preset="end-to-end", task=task)
+    raise InputError("--preset", preset, "auto, cpu, gpu, paper or end-to-end")
 
 
 def from_stored(record: dict[str, Any]) -> TrainConfig:
@@ -173,9 +184,9 @@ def from_stored(record: dict[str, Any]) -> TrainConfig:
     Raises:
         InputError: A field is unknown or its value is not allowed.
     """
-    if "task" in record:
-        record = record | {"task": to_record(task_from_record(record["task"]))}
-    return from_record(TrainConfig, record, "config")
+    others = {name: value for name, value in record.items() if name != "task"}
+    config = from_record(TrainConfig, others, "config")
+    return replace(config, task=task_from_record(record["task"])) if "task" in record else config
 
 
 def stored_config(folder: Path) -> TrainConfig:

@@ -33,6 +33,7 @@ from mjx_grasp.robot.identity import RobotIdentity
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
+from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.after import evaluate_run
 from mjx_grasp.training.config import TrainConfig
@@ -108,6 +109,12 @@ def _run(
     task = world.task(
         config.engine, worlds, config.task, config.noise, ppo.privileged_critic, extra_terms
     )
+    if isinstance(task, EndToEndTask):
+        way = task.way
+        console.print(
+            f"{way.blocked} of {way.nearest.size} postures between handoffs and home touch "
+            "something: the nearest that touch nothing stand for them"
+        )
     env = BraxTask(task, worlds, ppo.stagger, devices)
     spread = f" on {devices.count} devices" if devices.count > 1 else ""
     console.print(

@@ -57,9 +57,9 @@ def weights(state):
     return np.concatenate([np.asarray(x).ravel() for x in jax.tree.leaves(state.params)])
 
 
-def homing(count, worlds, kind=Devices, **changes):
+def homing(count, worlds, kind=Devices, task=test_any_task.Homing, stagger=True, **changes):
     config = tiny.ppo(worlds=worlds, unroll=8, hidden=(16,), privileged_critic=False, **changes)
-    env = BraxTask(test_any_task.Homing(), worlds // count, True, devices_of(count, kind))
+    env = BraxTask(task(), worlds // count, stagger, devices_of(count, kind))
     return trained(env, config)
 
 
@@ -86,6 +86,11 @@ def four_devices(out):
     found["episodes"] = metrics[0]["episodes"]
     rate = states[-1].optimizer[-1].hyperparams["learning_rate"]
     found["rates"] = [float(shard.data) for shard in rate.addressable_shards]
+
+    paced = {"task": test_any_task.PacedHoming, "stagger": False}
+    states, metrics, _ = homing(4, 16, iterations=3, **paced)
+    found["told"] = np.asarray(states[-1].env.pipeline_state.told)
+    found["logged"] = [metrics[-1][name] for name in test_any_task.PacedHoming.pace_names]
 
     config, folder = tiny.ppo(worlds=8), Path(out).parent / "checkpoints"
     env = closing(2)

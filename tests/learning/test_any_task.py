@@ -16,7 +16,7 @@ from scripted import draw_of
 from mjx_grasp.evaluation.trials import run_trials, zero_controller
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.ppo import init_state, make_iteration
-from mjx_grasp.tasks.task import EpisodeSummary, Task, TaskTick
+from mjx_grasp.tasks.task import EpisodeSummary, PacedTask, Task, TaskTick
 
 
 class Points(NamedTuple):
@@ -43,7 +43,7 @@ class Homing:
         return state, self._obs(state)
 
     def reset(self, state, mask, draw):
-        new, _ = self.start(draw)
+        new = Points(draw.row, draw.offset[:, 0])
         state = jax.tree.map(lambda a, b: jnp.where(mask, a, b), new, state)
         return state, self._obs(state)
 
@@ -73,8 +73,61 @@ class Homing:
         return {"state": jnp.stack([state.place, jnp.sign(state.place)], axis=-1)}
 
 
+class Told(NamedTuple):
+    points: Points
+    told: jax.Array
+    """What the training has said last, in every world: share, episodes, successes."""
+
+
+class PacedHoming(Homing):
+    """The same, which remembers how far its training has come; a `PacedTask`."""
+
+    pace_names = ("share", "ended", "succeeded")
+
+    def start(self, draw):
+        state, obs = super().start(draw)
+        return Told(state, jnp.zeros((len(draw.row), 3))), obs
+
+    def reset(self, state, mask, draw):
+        points, obs = super().reset(state.points, mask, draw)
+        return state._replace(points=points), obs
+
+    def tick(self, state, action):
+        points, tick = super().tick(state.points, action)
+        return state._replace(points=points), tick
+
+    def summary(self, state):
+        return super().summary(state.points)
+
+    def snapshot(self, state):
+        return super().snapshot(state.points)
+
+    def paced(self, state, learnt):
+        said = dict(zip(self.pace_names, learnt, strict=True))
+        told = jnp.broadcast_to(jnp.stack(learnt), state.told.shape)
+        return state._replace(told=told), said
+
+
 def test_it_is_a_task():
-    assert isinstance(Homing(), Task)
+    assert isinstance(Homing(), Task) and not isinstance(Homing(), PacedTask)
+    assert isinstance(PacedHoming(), PacedTask)
+
+
+def test_a_task_that_goes_with_the_training_is_told_how_far_it_has_come():
+    """After every iteration, with the episodes that are logged; and nothing else changes."""
+    config = tiny.ppo(worlds=8, unroll=8, iterations=4, hidden=(4,), privileged_critic=False)
+    env, plain = (BraxTask(t, 8, False) for t in (PacedHoming(), Homing()))
+    state, other = (init_state(config, e, seed=0) for e in (env, plain))
+    iterate, same = (jax.jit(make_iteration(config, e)) for e in (env, plain))
+    for share in (0.25, 0.5):
+        state, metrics = iterate(state)
+        other, _ = same(other)
+        assert (float(metrics["share"]), float(metrics["ended"])) == (share, 8)
+        assert metrics["succeeded"] == pytest.approx(8 * metrics["success"])
+        told = [float(metrics[name]) for name in env.pace_names]
+        np.testing.assert_allclose(state.env.pipeline_state.told, [told] * 8)
+    np.testing.assert_array_equal(tiny.parameters(state), tiny.parameters(other))
+    assert plain.pace_names == ()
 
 
 def test_it_is_evaluated():

@@ -60,6 +60,14 @@ def test_metrics_are_those_of_all_devices(found):
     assert 0 < found["episodes"] <= 64
 
 
+def test_tasks_are_told_on_every_device_of_the_episodes_of_all(found):
+    """And of them alike: what a curriculum makes of it is the same everywhere."""
+    assert found["told"].shape == (4, 4, 3)
+    np.testing.assert_array_equal(found["told"].reshape(16, 3), [found["logged"]] * 16)
+    share, episodes, successes = found["logged"]
+    assert (share, episodes) == (1.0, 16) and 0 <= successes <= 16
+
+
 def test_a_checkpoint_goes_on_as_if_nothing_had_been(found):
     np.testing.assert_array_equal(found["resumed"], found["unbroken"])
     assert np.abs(found["unbroken"] - found["kept"]).max() > 0

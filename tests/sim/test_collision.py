@@ -148,3 +148,21 @@ def test_the_first_of_several_reasons_is_told_and_the_scene_is_untouched(scene, 
     again = CollisionChecker(scene)
     assert again.reason(q, tip, UPRIGHT) == "hand-object"
     assert np.array_equal(scene.model.geom_conaffinity, before)
+
+
+def test_of_several_objects_a_state_is_of_one(handmade_objects):
+    """As in scenes of each object alone, for objects anywhere around the hand."""
+    robot = load_robot()
+    together = build_scene(handmade_objects, robot)
+    union, q = CollisionChecker(together), np.array(robot.home)
+    palm = posed(together, q, AWAY).site_xpos[together.addresses.palm_site]
+    rng, reasons = np.random.default_rng(0), set()
+    for k, obj in enumerate(handmade_objects):
+        alone = CollisionChecker(build_scene([obj], robot))
+        for position in palm + rng.uniform(-0.15, 0.15, (20, 3)):
+            quat = rng.normal(size=4)
+            pose = position, quat / np.linalg.norm(quat)
+            found = union.reason(q, *pose, object_index=k)
+            assert found == alone.reason(q, *pose), (obj.name, pose)
+            reasons.add(found)
+    assert reasons >= {None, "hand-object"}

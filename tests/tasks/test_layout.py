@@ -46,7 +46,7 @@ def driven(native, starts):
     for k in range(3):
         action = jax.random.uniform(jax.random.PRNGKey(k), (4, task.action_size), minval=-1.0)
         state, done = tick(state, action)
-        targets = task._targets(state.episode)
+        targets = task._targets(state.episode.row, state.truth)
         pressing, sliding = task.closer.load(state.closer, state.measured, targets)
         seen.append(
             {
@@ -80,7 +80,7 @@ def test_an_action_moves_what_its_segment_says(robot, native, starts):
     """At 1 instead of 0 the target goes by the residual of one tick, and no other joint's."""
     task = ClosingTask(native, starts, FEELING, StartNoise(), with_privileged=False)
     state, _ = task.start(task.draw(jax.random.PRNGKey(0), 1))
-    targets, size = task._targets(state.episode), task.action_size
+    targets, size = task._targets(state.episode.row, state.truth), task.action_size
     act = jax.jit(lambda action: task.closer.act(state.closer, state.measured, targets, action)[1])
     still = act(jnp.zeros((1, size)))
     for part in action_layout(robot, FEELING)[:2]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from mjx_grasp.closing.learned import LearnedPolicy
+from mjx_grasp.errors import FileError
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.tasks.config import EndToEndConfig
 
 
 def loaded_grasper(
@@ -35,5 +37,7 @@ def loaded_grasper(
         return grasper_of(robot, reaching=whole_grasps(steered=steered, approach=approach))
     policy = load_controller(file, robot)
     task = policy_task(policy)
+    if isinstance(task, EndToEndConfig):
+        raise FileError(file, "a policy that reaches by itself", "one of the closing task")
     learned = LearnedPolicy(policy, task.observation, budget)
     return grasper_of(robot, task, learned, whole_grasps(steered=steered, approach=approach))

@@ -35,7 +35,7 @@ def test_the_commands_are_known():
             "scenarios",
             "sweep_reach",
         ),
-        *("train", "view"),
+        *("train", "tune", "view"),
         "viz.video",
     ] == COMMANDS
 

@@ -109,8 +109,8 @@ def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):
     stored = load_handoffs(asset_path("handoffs_standins.npz")).select(["foam_brick"])
     states, run = tmp_path / "states.npz", tmp_path / "run"
     replace(stored, reached=np.arange(len(stored)) % 2 == 0).save(states)
-    for name in ("_build", "_run"):
-        monkeypatch.setattr(job, name, lambda *_: None)
+    monkeypatch.setattr(job, "_build", lambda *_: "a world")
+    monkeypatch.setattr(job, "_run", lambda *_: None)
     monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
     config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
     run_training(config, Console(quiet=True))

@@ -1,0 +1,274 @@
+"""Many trainings at once: a plan of settings, objects and seeds, run by Ray (extra `ray`)."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tyro
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from mjx_grasp.cli import counting_progress
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
+from mjx_grasp.records.atomic import check_new_folder, write_json
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
+from mjx_grasp.tasks.assemble import has_gpu
+from mjx_grasp.training.command_line import parse
+from mjx_grasp.training.job import run_training
+
+SCHEMA = "mjx_grasp.tune/1"
+_LAST = 20
+"""Iterations whose mean stands for the end of a training."""
+_PLAN = "a mapping with `seeds`, `settings` and, if wanted, `flags` and `objects`"
+
+
+@dataclass(frozen=True)
+class TuneConfig(CommandSettings):
+    """Which trainings, where, and with how much of a machine each."""
+
+    plan: tyro.conf.Positional[Path]
+    """YAML: `settings` by name, each with flags of `train` and their values; `seeds`; if wanted,
+    sets of `objects` by name, and `flags` that all have"""
+    out: Path
+    """folder of the runs and of their table; what is finished there is kept"""
+    gpus: NonNegative | None = None
+    """of each training, 0.5 for two on one; None: one where there is a GPU, none elsewhere [-]"""
+    cpus: Positive = 1.0
+    """cores of each training [-]"""
+    address: str | None = None
+    """of a Ray cluster, or `auto` for the one that this machine belongs to; None: this machine
+    alone. The plan's paths and --out have to be the same on all its machines"""
+
+
+class Run(NamedTuple):
+    """One training of a plan."""
+
+    name: str
+    setting: str
+    objects: str
+    seed: int
+    flags: tuple[str, ...]
+    """of `train`"""
+
+
+def read_plan(path: Path) -> list[Run]:
+    """The trainings of a plan, every combination once.
+
+    Raises:
+        FileError: It is no plan.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+        known = {"flags", "settings", "objects", "seeds"}
+        if unknown := sorted(set(content) - known):
+            raise ValueError(f"unknown: {', '.join(unknown)}")
+        common = dict(content.get("flags", {}))
+        settings = {str(k): dict(v or {}) for k, v in content["settings"].items()}
+        objects = {str(k): list(v) for k, v in content.get("objects", {"": []}).items()}
+        seeds = [int(seed) for seed in content["seeds"]]
+        if not (settings and objects and seeds) or len(set(seeds)) < len(seeds):
+            raise ValueError("no settings, objects or seeds, or a seed twice")
+    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise FileError(path, f"no plan ({error})", _PLAN) from None
+    runs = []
+    for setting, group, seed in itertools.product(settings, objects, seeds):
+        of = common | settings[setting] | {"seed": seed}
+        if objects[group]:
+            of |= {"objects": objects[group]}
+        name = "-".join(part for part in (setting, group, f"seed{seed}") if part)
+        runs.append(Run(name, setting, group, seed, tuple(as_flags(of))))
+    return runs
+
+
+def as_flags(values: Mapping[str, Any]) -> Iterator[str]:
+    """Names and values of a plan as words of a command line."""
+    for name, value in values.items():
+        name = str(name).replace("_", "-")
+        *parts, last = name.split(".")
+        if value is False:
+            yield "--" + ".".join((*parts, f"no-{last}"))
+        elif value is True:
+            yield f"--{name}"
+        else:
+            yield f"--{name}"
+            yield from map(str, value if isinstance(value, list) else [value])
+
+
+def tune(config: TuneConfig, console: Console) -> Table:
+    """Runs what is not finished and gathers the table, which it also writes.
+
+    Args:
+        config: The settings.
+        console: Where progress is shown.
+
+    Raises:
+        InputError: Ray is not installed, or a folder cannot be written.
+        FileError: The plan is none, or `train` refuses what it says.
+        MjxGraspError: A training failed; the others are in the table.
+    """
+    if find_spec("ray") is None:
+        raise InputError("tune", "no Ray", "the extra 'ray' (pip install 'mjx_grasp[ray]')")
+    runs, made = read_plan(config.plan), provenance(0)
+    if not config.out.exists():
+        check_new_folder("--out", config.out)
+    for run in runs:
+        _check(config.plan, run)
+    failed = run_all(config, [r for r in runs if not finished(config.out / r.name)], console)
+    rows = gathered(config.out, runs)
+    content = {"schema": SCHEMA, "settings": to_record(config), "rows": rows, "provenance": made}
+    write_json(config.out / "table.json", content)
+    if failed:
+        said = "; ".join(f"{name}: {why}" for name, why in failed.items())
+        raise MjxGraspError(f"{len(failed)} of {len(runs)} trainings failed: {said}")
+    return shown(rows)
+
+
+def finished(folder: Path) -> bool:
+    """Whether a training has come to its end, its evaluation included."""
+    return (folder / "finished.json").exists()
+
+
+def _check(plan: Path, run: Run) -> None:
+    """Refuses what `train` would refuse, before anything starts.
+
+    Raises:
+        FileError: It would.
+    """
+    try:
+        parse(list(run.flags))
+    except InputError as error:
+        raise FileError(plan, f"{run.name}: {error}", "settings of `train`") from None
+    except SystemExit:  # of the parser, which has said why
+        expected = "flags of `python -m mjx_grasp.train`"
+        raise FileError(plan, f"{run.name}: {' '.join(run.flags)}", expected) from None
+
+
+def run_all(
+    config: TuneConfig,
+    runs: Sequence[Run],
+    console: Console,
+    work: Callable[[str, list[str], str], None] | None = None,
+) -> dict[str, str]:
+    """Runs them as Ray tasks; what failed, and why.
+
+    Args:
+        config: What each may take, and where they run.
+        runs: Those that are not finished.
+        console: Where progress is shown.
+        work: What a task does, given folder, flags and working directory; by default `train`.
+    """
+    if not runs:
+        return {}
+    import ray
+
+    here = has_gpu() if config.gpus is None else config.gpus > 0
+    gpus = float(here) if config.gpus is None else config.gpus
+    ray.init(address=config.address, log_to_driver=False, include_dashboard=False)
+    try:
+        # A process of its own for each: what JAX holds goes with it. A lost one is run again.
+        task = ray.remote(max_calls=1, max_retries=-1, num_cpus=config.cpus, num_gpus=gpus)(
+            work or train
+        )
+        out = config.out.resolve()
+        begun = {
+            task.remote(str(out / run.name), list(run.flags), os.getcwd()): run.name for run in runs
+        }
+        failed: dict[str, str] = {}
+        with counting_progress(console) as bar:
+            job = bar.add_task("trainings", total=len(begun))
+            left = list(begun)
+            while left:
+                (done, *_), left = ray.wait(left, num_returns=1)
+                try:
+                    ray.get(done)
+                except ray.exceptions.RayError as error:
+                    failed[begun[done]] = str(error).strip().splitlines()[-1]
+                bar.update(job, advance=1)
+        return failed
+    finally:
+        ray.shutdown()
+
+
+def train(folder: str, flags: list[str], cwd: str) -> None:
+    """One training, in a process of its own: from the start, or from where it was cut short."""
+    os.chdir(cwd)
+    at = Path(folder)
+    if finished(at):
+        return
+    if at.exists() and not (at / "provenance.json").exists():
+        shutil.rmtree(at)  # cut short while it was opened
+    argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
+    with open(os.devnull, "w") as nowhere:
+        run_training(parse(argv), Console(file=nowhere))
+    write_json(at / "finished.json", {"flags": flags})
+
+
+def gathered(out: Path, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """One row per finished training: how it ended, and what its evaluation says."""
+    rows = []
+    for run in runs:
+        folder = out / run.name
+        if not finished(folder):
+            continue
+        with (folder / "metrics.csv").open(newline="") as stream:
+            last = list(csv.DictReader(stream))[-_LAST:]
+        trained = {name: _mean(float(row[name]) for row in last) for name in ("success", "force_n")}
+        row: dict[str, Any] = {
+            "run": run.name,
+            "setting": run.setting,
+            "objects": run.objects,
+            "seed": run.seed,
+            "trained_percent": None if trained["success"] is None else 100 * trained["success"],
+            "trained_force_n": trained["force_n"],
+            "seconds": float(last[-1]["seconds"]),
+        }
+        results = folder / "results.json"
+        if results.exists():
+            policy = [r for r in read_results(results).rows if r.controller == "policy"]
+            row["evaluated_percent"] = _mean(100 * r.successes / r.episodes for r in policy)
+            forces = (r.force_mean_n for r in policy if r.force_mean_n is not None)
+            row["evaluated_force_n"] = _mean(forces)
+        rows.append(row)
+    return rows
+
+
+def _mean(values: Iterator[float]) -> float | None:
+    known = [x for x in values if x == x]
+    return float(np.mean(known)) if known else None
+
+
+def shown(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Mean over the seeds of each setting and set of objects, with a bootstrap interval."""
+    columns = {
+        "trained_percent": "trained %",
+        "trained_force_n": "N",
+        "evaluated_percent": "evaluated %",
+        "evaluated_force_n": "N",
+        "seconds": "s",
+    }
+    table = Table("setting", "objects", "seeds", *columns.values(), box=None)
+    for setting, objects in dict.fromkeys((row["setting"], row["objects"]) for row in rows):
+        of = [row for row in rows if (row["setting"], row["objects"]) == (setting, objects)]
+        cells = []
+        for name in columns:
+            values = np.array([row[name] for row in of if row.get(name) is not None])
+            text = f"{values.mean():.1f}" if len(values) else ""
+            if len(values) > 1:
+                low, high = bootstrap_mean_interval(values, seed=0)
+                text += f" ({low:.1f}–{high:.1f})"
+            cells.append(text)
+        table.add_row(setting, objects, str(len(of)), *cells)
+    return table

@@ -1,0 +1,220 @@
+"""Many trainings by one plan: which they are, how they go on, what their table says."""
+
+import csv
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.training import tuning
+from mjx_grasp.training.tuning import (
+    TuneConfig,
+    as_flags,
+    gathered,
+    read_plan,
+    run_all,
+    shown,
+    tune,
+)
+
+PLAN = """
+flags: {preset: cpu, ppo.iterations: 2}
+settings:
+  usual:
+  blind: {task.observation.forces: false, ppo.hidden: [8, 8]}
+objects: {cube: [rubiks_cube], two: [rubiks_cube, foam_brick]}
+seeds: [0, 3]
+"""
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_every_combination_is_a_training(plan):
+    runs = read_plan(plan)
+    assert len({run.name for run in runs}) == len(runs) == 2 * 2 * 2
+    (blind,) = [run for run in runs if run.name == "blind-two-seed3"]
+    assert (blind.setting, blind.objects, blind.seed) == ("blind", "two", 3)
+    words = " ".join(blind.flags)
+    assert words.startswith("--preset cpu --ppo.iterations 2 ")
+    for flag in ("--task.observation.no-forces", "--ppo.hidden 8 8", "--seed 3"):
+        assert flag in words
+    assert words.endswith("--objects rubiks_cube foam_brick")
+    assert "forces" not in " ".join(runs[0].flags)
+
+
+def test_values_become_words_of_a_command_line():
+    values = {"a_b": 1, "c.d_e": True, "c.f": False, "g": [0.5, 2], "h": "x"}
+    assert " ".join(as_flags(values)) == "--a-b 1 --c.d-e --c.no-f --g 0.5 2 --h x"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "seeds: [0]", "settings: {a: {}}", "settings: {a: {}}\nseeds: [0, 0]", "[1, 2]", "{a: :",
+        "settings: {a: {}}\nseeds: [0]\nepisodes: 3", "settings: {a: {}}\nseeds: [x]",
+    ],
+)  # fmt: skip
+def test_what_is_no_plan_is_refused(tmp_path, text):
+    path = tmp_path / "plan.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError, match=r"plan\.yaml.*no plan"):
+        read_plan(path)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [("{ppo.worlds: 3}", r"a-seed0: .*worlds"), ("{no.such.flag: 3}", r"a-seed0: .*no\.such")],
+)
+def test_what_train_would_refuse_is_refused_before_anything_starts(tmp_path, setting, said, capfd):
+    path, out = tmp_path / "plan.yaml", tmp_path / "out"
+    path.write_text(f"flags: {{preset: cpu}}\nsettings: {{a: {setting}}}\nseeds: [0]")
+    with pytest.raises(FileError, match=said):
+        tune(TuneConfig(path, out), Console(quiet=True))
+    assert not list(out.glob("*"))
+
+
+def test_without_ray_it_says_what_to_install(plan, monkeypatch):
+    monkeypatch.setattr(tuning, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"mjx_grasp\[ray\]"):
+        tune(TuneConfig(plan, Path("out")), Console(quiet=True))
+
+
+@pytest.fixture
+def trainings(monkeypatch):
+    """What `train` would have run, instead of it."""
+    asked = []
+    monkeypatch.setattr(tuning, "parse", lambda argv: argv)
+    monkeypatch.setattr(tuning, "run_training", lambda argv, console: asked.append(argv))
+    return asked
+
+
+def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
+    """What was cut short while it was opened begins anew."""
+    folder, cwd = tmp_path / "run", os.getcwd()
+
+    def train():
+        tuning.train(str(folder), ["--seed", "1"], cwd)
+
+    folder.mkdir()
+    (folder / "config.json").touch()
+    (tmp_path / "run" / "handoffs.npz").touch()
+    train()
+    assert trainings.pop() == ["--seed", "1", "--out", str(folder)]
+    assert [p.name for p in folder.iterdir()] == ["finished.json"]
+    shutil.rmtree(folder)
+    folder.mkdir()
+    (folder / "provenance.json").touch()
+    train()
+    assert trainings == [["--resume", str(folder)]]
+    train()
+    assert len(trainings) == 1, "it is finished"
+
+
+def metrics(folder, success, force):
+    folder.mkdir(parents=True)
+    with (folder / "metrics.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(("iteration", "seconds", "success", "force_n"))
+        writer.writerows((i + 1, 10.0 * i, success, force) for i in range(30))
+    write_json(folder / "finished.json", {})
+
+
+def test_the_table_has_means_over_seeds_of_what_is_finished(tmp_path, plan):
+    runs = [run for run in read_plan(plan) if run.objects == "cube"]
+    for run, success in zip(runs[:3], (0.5, 0.7, 0.9), strict=True):
+        metrics(tmp_path / run.name, success, float("nan") if run.seed else 2.0)
+    rows = gathered(tmp_path, runs)
+    assert [row["trained_percent"] for row in rows] == pytest.approx([50, 70, 90])
+    assert [row["trained_force_n"] for row in rows] == [2.0, None, 2.0]
+    console = Console(width=120)
+    with console.capture() as capture:
+        console.print(shown(rows))
+    _, usual, blind = capture.get().strip().splitlines()
+    assert usual.split()[:4] == ["usual", "cube", "2", "60.0"] and "(50.0–70.0)" in usual
+    assert blind.split()[:5] == ["blind", "cube", "1", "90.0", "2.0"]
+
+
+@pytest.mark.long
+def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
+    """More than twenty are killed at random; one training fails by itself."""
+    pytest.importorskip("ray")
+    (tmp_path / "pids").mkdir()
+
+    def write_slowly(folder, flags, cwd):
+        """Stands for a training: says who does it, takes a while, then writes its result."""
+        at = Path(folder)
+        at.mkdir(parents=True, exist_ok=True)
+        (at.parent / "pids" / f"{os.getpid()}").touch()
+        time.sleep(0.6)
+        if flags == ["fail"]:
+            raise ValueError("cannot work")
+        with (at / "done").open("a") as stream:
+            stream.write("x")
+
+    runs = [tuning.Run(f"run{k}", "a", "", k, ("fail",) if k == 5 else ()) for k in range(12)]
+    rng, killed, started = random.Random(0), set(), time.monotonic()
+    over = threading.Event()
+
+    def kill_some():
+        while not over.is_set() and len(killed) < 24:
+            pids = {int(p.name) for p in (tmp_path / "pids").iterdir()} - killed
+            for pid in pids:
+                if rng.random() < 0.8:
+                    try:
+                        os.kill(pid, signal.SIGKILL)
+                        killed.add(pid)
+                    except ProcessLookupError:
+                        killed.add(-pid)
+            time.sleep(0.05)
+
+    thread = threading.Thread(target=kill_some)
+    thread.start()
+    config = TuneConfig(tmp_path / "plan.yaml", tmp_path, gpus=0.0, cpus=0.5)
+    try:
+        failed = run_all(config, runs, Console(quiet=True), write_slowly)
+    finally:
+        over.set()
+        thread.join()
+    assert sum(pid > 0 for pid in killed) >= 20
+    assert list(failed) == ["run5"] and "cannot work" in failed["run5"]
+    for run in runs:
+        done = tmp_path / run.name / "done"
+        assert done.exists() is (run.name != "run5")
+        assert run.name == "run5" or done.read_text() == "x"
+    assert time.monotonic() - started < 280
+
+
+@pytest.mark.long
+def test_a_plan_is_trained_as_a_user_types_it(tmp_path):
+    """Two seeds of a tiny training; the second call runs nothing."""
+    pytest.importorskip("ray")
+    path, out = tmp_path / "plan.yaml", tmp_path / "out"
+    path.write_text(
+        "flags: {preset: cpu, ppo.iterations: 2, ppo.worlds: 8, ppo.unroll: 4, "
+        "handoffs_per_object: 4, evaluation_episodes: 0}\nsettings: {tiny: {}}\nseeds: [0, 1]"
+    )
+    command = [sys.executable, "-m", "mjx_grasp.tune", str(path), "--out", str(out)]
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
+        assert done.returncode == 0, done.stderr
+    table = json.loads((out / "table.json").read_text())
+    assert [row["seed"] for row in table["rows"]] == [0, 1]
+    assert np.isfinite([row["seconds"] for row in table["rows"]]).all()
+    assert {p.name for p in out.iterdir()} == {"tiny-seed0", "tiny-seed1", "table.json"}

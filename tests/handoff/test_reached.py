@@ -60,6 +60,7 @@ def generated(generator, brick):
     return generator.generate(brick)
 
 
+@pytest.mark.long
 def test_the_state_kept_is_the_state_reached(generated, brick, robot):
     """Tip errors again from the joints alone, by native MuJoCo, and nothing penetrates."""
     handoffs, report = generated
@@ -81,6 +82,7 @@ def test_the_state_kept_is_the_state_reached(generated, brick, robot):
             assert table in pair and set(pair) - {table} <= set(at.object_geoms)
 
 
+@pytest.mark.long
 def test_every_state_is_one_for_which_the_gate_opens(generated, config):
     handoffs, report = generated
     gate = reach_settings(config).reach.controller.gate
@@ -91,6 +93,7 @@ def test_every_state_is_one_for_which_the_gate_opens(generated, config):
     assert np.all(arrived | (waited & (worst <= gate.late_tips)))
 
 
+@pytest.mark.long
 def test_idle_fingers_stay_where_a_training_fixes_them(generated, brick, robot):
     handoffs, _ = generated
     used = joint_columns(robot.without_idle_fingers())
@@ -100,6 +103,7 @@ def test_idle_fingers_stay_where_a_training_fixes_them(generated, brick, robot):
     assert len(build_starts(scene, handoffs, 5).qpos) == len(handoffs)
 
 
+@pytest.mark.long
 def test_targets_are_those_of_the_object_where_it_lies(generated, brick):
     handoffs, _ = generated
     assert handoffs.target_pos[:, :, 2].min() >= 0.015
@@ -111,6 +115,7 @@ def test_targets_are_those_of_the_object_where_it_lies(generated, brick):
         assert np.linalg.norm(first - second) == pytest.approx(0.04, abs=1e-5)
 
 
+@pytest.mark.long
 def test_every_reach_is_accounted_for(generated):
     handoffs, report = generated
     assert report.sampled == report.poses == report.feasible + sum(report.rejected.values())
@@ -132,6 +137,7 @@ def test_the_seed_decides_everything(generator, generated, brick):
         assert np.array_equal(getattr(first, field.name), getattr(again, field.name))
 
 
+@pytest.mark.long
 def test_a_set_is_the_same_from_its_file(generated, tmp_path, robot):
     handoffs, _ = generated
     path = tmp_path / "set.npz"

@@ -1,6 +1,8 @@
 """Trainings on several CPU devices, as a script: a process chooses its devices only once.
 
 python many_devices.py OUT.npz            four devices of one process
+python many_devices.py OUT.npz homing     a checkpoint of two of them, of a task without physics
+python many_devices.py OUT.npz closing    the same of the closing task
 python many_devices.py FOLDER HOST:PORT PROCESSES PROCESS ITERATIONS
 """
 
@@ -11,7 +13,7 @@ from pathlib import Path
 if __name__ == "__main__":
     # XLA has a thread for each. Twice as many as are used, because a thread that waits for other
     # devices is not there for the callbacks of the engine.
-    count = 8 if len(sys.argv) == 2 else 1
+    count = 8 if len(sys.argv) < 4 else 1
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
     os.environ["XLA_FLAGS"] = flags
 
@@ -63,9 +65,13 @@ def homing(count, worlds, kind=Devices, task=test_any_task.Homing, stagger=True,
     return trained(env, config)
 
 
-def closing(count):
-    env, devices = tiny.make_env(worlds=8 // count), devices_of(count)
-    return BraxTask(env.task, 8 // count, True, devices)
+def homing_env(count):
+    return BraxTask(test_any_task.Homing(), 8 // count, True, devices_of(count))
+
+
+def closing_env(count):
+    task = tiny.make_env(worlds=8 // count).task
+    return BraxTask(task, 8 // count, True, devices_of(count))
 
 
 def four_devices(out):
@@ -92,26 +98,37 @@ def four_devices(out):
     found["told"] = np.asarray(states[-1].env.pipeline_state.told)
     found["logged"] = [metrics[-1][name] for name in test_any_task.PacedHoming.pace_names]
 
-    config, folder = tiny.ppo(worlds=8), Path(out).parent / "checkpoints"
-    env = closing(2)
+    np.savez(out, **found)
+
+
+def checkpoints_of(out, env_of):
+    """A checkpoint of two devices, read back on one, two and four."""
+    found = {}
+    config = tiny.ppo(worlds=8, privileged_critic=env_of is closing_env)
+    env = env_of(2)
     states, _, iterate = trained(env, config)
-    path = save_checkpoint(folder, states[2], env, tiny.CONFIG)
+    path = save_checkpoint(Path(out).parent / "checkpoints", states[2], env, tiny.CONFIG)
     found["kept"] = weights(states[2])
     found["unbroken"] = weights(states[3])
-    found["stood"] = np.asarray(env.pack(states[2].env)["task"]["physics"]["qpos"])
+    found["stood"] = worlds_of(env, states[2])
     for count in (1, 2, 4):
-        env = closing(count)
-        template = init_state(config, env, seed=9)
-        state, goes_on = restore_checkpoint(path, template, env)
+        env = env_of(count)
+        state, goes_on = restore_checkpoint(path, init_state(config, env, seed=9), env)
         found[f"goes_on_{count}"] = goes_on
         found[f"kept_{count}"] = weights(state)
-        found[f"stood_{count}"] = np.asarray(env.pack(state.env)["task"]["physics"]["qpos"])
+        found[f"stood_{count}"] = worlds_of(env, state)
         if count == 2:
             found["resumed"] = weights(iterate(state)[0])
         if count == 4:
             state, row = jax.jit(make_iteration(config, env))(state)
             found["after"] = [int(state.iteration), float(row["total_loss"])]
     np.savez(out, **found)
+
+
+def worlds_of(env, state):
+    """All that is packed of the worlds, one row each."""
+    leaves = jax.tree.leaves(env.pack(state.env)["task"])
+    return np.concatenate([np.asarray(x, float).reshape(8, -1) for x in leaves], axis=1)
 
 
 def processes(folder, coordinator, count, process, iterations):
@@ -133,5 +150,7 @@ def processes(folder, coordinator, count, process, iterations):
 if __name__ == "__main__":
     if len(sys.argv) == 2:
         four_devices(sys.argv[1])
+    elif len(sys.argv) == 3:
+        checkpoints_of(sys.argv[1], {"homing": homing_env, "closing": closing_env}[sys.argv[2]])
     else:
         processes(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:]))

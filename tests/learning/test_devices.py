@@ -68,18 +68,26 @@ def test_tasks_are_told_on_every_device_of_the_episodes_of_all(found):
     assert (share, episodes) == (1.0, 16) and 0 <= successes <= 16
 
 
-def test_a_checkpoint_goes_on_as_if_nothing_had_been(found):
-    np.testing.assert_array_equal(found["resumed"], found["unbroken"])
-    assert np.abs(found["unbroken"] - found["kept"]).max() > 0
+@pytest.fixture(scope="module", params=["homing", pytest.param("closing", marks=pytest.mark.long)])
+def kept(request, tmp_path_factory):
+    out = tmp_path_factory.mktemp("kept") / "kept.npz"
+    output_of(script(out, request.param))
+    with np.load(out) as stored:
+        return dict(stored)
+
+
+def test_a_checkpoint_goes_on_as_if_nothing_had_been(kept):
+    np.testing.assert_array_equal(kept["resumed"], kept["unbroken"])
+    assert np.abs(kept["unbroken"] - kept["kept"]).max() > 0
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_a_checkpoint_of_two_devices_is_read_on_any_number(found, count):
+def test_a_checkpoint_of_two_devices_is_read_on_any_number(kept, count):
     """The same weights, and every world where it stood."""
-    assert found[f"goes_on_{count}"]
-    np.testing.assert_array_equal(found[f"kept_{count}"], found["kept"])
-    np.testing.assert_array_equal(found[f"stood_{count}"], found["stood"])
-    assert found["after"][0] == 3 and np.isfinite(found["after"][1])
+    assert kept[f"goes_on_{count}"]
+    np.testing.assert_array_equal(kept[f"kept_{count}"], kept["kept"])
+    np.testing.assert_array_equal(kept[f"stood_{count}"], kept["stood"])
+    assert kept["after"][0] == 3 and np.isfinite(kept["after"][1])
 
 
 def free_port():

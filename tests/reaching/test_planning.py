@@ -155,6 +155,7 @@ def test_the_hand_comes_in_only_when_it_is_aligned(planned):
     np.testing.assert_allclose(goal.q, guide.q[0], atol=1e-6)
 
 
+@pytest.mark.long
 def test_without_additions_everything_is_pursued_as_before(planned):
     reacher, plan, poses, _, _ = planned
     library = start_library(reacher.body, plan)

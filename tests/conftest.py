@@ -38,15 +38,15 @@ SUBSTEPS = 5
 # with them at the end. The order is that of measured times; what is not named follows.
 LONGEST_FIRST = (
     "test_grasper.py",
-    "test_docs.py",
-    "test_reached.py",
-    "test_reactivity.py",
-    "test_devices.py",
-    "test_planning.py",
-    "test_controller.py",
-    "test_training.py",
     "test_commands.py",
+    "test_docs.py",
+    "test_reactivity.py",
+    "test_training.py",
+    "test_planning.py",
     "test_handoff_generation.py",
+    "test_end_to_end.py",
+    "test_controller.py",
+    "test_devices.py",
     "test_mjx.py",
     "test_backends.py",
 )

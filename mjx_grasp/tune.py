@@ -5,16 +5,16 @@ finished is not run again, one that was cut short goes on from its checkpoint, a
 is lost is run by another.
 """
 
-import os
-
 from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, trains, writes the table."""
-    # What looks here for a GPU must not take its memory from those who train.
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     with starting():
+        import os
+
+        # What looks here for a GPU must not take its memory from those who train.
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
         import tyro
         from rich.console import Console
 

@@ -18,7 +18,7 @@ CONTROL_DT = 0.01
     ("engine", "seconds"),
     [
         (NativePhysics, 10.0),
-        (MjxPhysics, 1.0),  # on a CPU a second takes ten
+        (MjxPhysics, 0.3),  # on a CPU a second takes ten
         pytest.param(MjxPhysics, 10.0, marks=pytest.mark.long),
     ],
 )

@@ -391,7 +391,7 @@ def test_the_papers_parts_are_listed_and_unknown_ones_refused(paper, tmp_path, c
 
 
 def test_every_command_of_the_paper_is_one_of_this_repository():
-    """Scripts and modules exist and know the flags that they are given."""
+    """Scripts and modules exist."""
     module = script("paper")
     for part in module.PARTS:
         for command in part.commands:

@@ -267,9 +267,13 @@ class Closer:
             measured.pad_mat,
             state.start_pos,
             targets.position,
-            state.goal_mat,
+            self.goal(state, targets),
             self.config.guidance,
         )
+
+    def goal(self, state: CloserState, targets: ThreePoints) -> Float[Array, "*b f 3 3"]:
+        """R*, the pad frames at the contacts."""
+        return state.goal_mat
 
     def follow(self, state: CloserState) -> Float[Array, "*b 1 1"] | float:
         """Share of the way to its joint that a held target goes in a tick."""

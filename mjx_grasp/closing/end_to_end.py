@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.closing.closer import Closer, CloserState
-from mjx_grasp.closing.guidance import goal_frame, guidance_field
+from mjx_grasp.closing.guidance import goal_frame
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
@@ -28,18 +28,9 @@ class EndToEndCloser(Closer):
     assisted: bool = False
     """whether guidance and grip act before the lift too, and the actions are added to them"""
 
-    def guidance(
-        self, state: CloserState, measured: Measured, targets: ThreePoints
-    ) -> Float[Array, "*b f 6"]:
-        """The field on the line from a pad's start to where its contact is now [m/s, rad/s]."""
-        return guidance_field(
-            measured.pad_pos,
-            measured.pad_mat,
-            state.start_pos,
-            targets.position,
-            goal_frame(state.goal_mat, targets.normal),
-            self.config.guidance,
-        )
+    def goal(self, state: CloserState, targets: ThreePoints) -> Float[Array, "*b f 3 3"]:
+        """The pad frames where the contacts are now."""
+        return goal_frame(state.goal_mat, targets.normal)
 
     def way_left(
         self, state: CloserState, measured: Measured, targets: ThreePoints

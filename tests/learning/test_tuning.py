@@ -154,7 +154,6 @@ def test_the_table_has_means_over_seeds_of_what_is_finished(tmp_path, plan):
 @pytest.mark.long
 def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
     """More than twenty are killed at random; one training fails by itself."""
-    pytest.importorskip("ray")
     (tmp_path / "pids").mkdir()
 
     def write_slowly(folder, flags, cwd):
@@ -204,7 +203,6 @@ def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
 @pytest.mark.long
 def test_a_plan_is_trained_as_a_user_types_it(tmp_path):
     """Two seeds of a tiny training; the second call runs nothing."""
-    pytest.importorskip("ray")
     path, out = tmp_path / "plan.yaml", tmp_path / "out"
     path.write_text(
         "flags: {preset: cpu, ppo.iterations: 2, ppo.worlds: 8, ppo.unroll: 4, "

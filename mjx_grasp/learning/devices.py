@@ -185,7 +185,8 @@ def find_devices(run_on: RunOn, worlds: int, minibatches: int) -> Devices:
     count = usual if run_on.devices == "auto" else run_on.devices
     if count > len(available) or (several and count != len(available)):
         here = f"{count} ({len(available)} {jax.default_backend()} device(s) here)"
-        raise InputError("--devices", here, f"{len(available)} or auto" if several else "no more")
+        most = f"{len(available)}" if several else f"at most {len(available)}"
+        raise InputError("--devices", here, f"{most}, or auto")
     if worlds % (count * minibatches):
         multiple = f"a multiple of {count} devices × {minibatches} minibatches"
         raise InputError("--ppo.worlds", worlds, multiple)

@@ -129,7 +129,11 @@ def test_one_device_is_the_default_on_a_cpu():
 @pytest.mark.parametrize(
     ("run_on", "worlds", "said"),
     [
-        (RunOn(devices=len(jax.devices()) + 1), 8, r"--devices: found .*here"),
+        (
+            RunOn(devices=len(jax.devices()) + 1),
+            8,
+            r"--devices: found .*here\)', expected at most \d, or auto",
+        ),
         (RunOn(devices=1), 9, r"--ppo\.worlds: found 9.*1 devices × 2 minibatches"),
     ],
 )

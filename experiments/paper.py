@@ -70,7 +70,7 @@ PARTS = (
     ),
     Part(
         "reach",
-        "convergence of reaching over tolerance and time, by both presets",
+        "convergence of reaching over tolerance and time",
         ("-m mjx_grasp.sweep_reach --out experiments/results/reach_sweep_cpu.json",),
     ),
     Part(

@@ -18,6 +18,7 @@ import paper_tables
 import policy_tables
 import reach_tables
 import sensing_tables
+import sensitivity_tables
 import simulation_tables
 import stage_tables
 import steering_tables
@@ -71,6 +72,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),
+            "sensitivity": sensitivity_tables.sensitivity(folder / "sensitivity.json"),
             "stability": paper_tables.stability(folder / "lift_stability.json"),
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),

@@ -35,6 +35,8 @@ from mjx_grasp.tasks.assemble import has_gpu
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMA = "mjx_grasp.paper/1"
 REACHED = "assets/handoffs_reached.npz"
+FOLDER = "runs/paper"
+"""of what is no result: states and policies on the way, and what is done"""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,14 @@ PARTS = (
         ),
     ),
     Part(
+        "sensitivity",
+        "success where friction, mass, finger stiffness or torque limits are not as modelled",
+        (
+            f"experiments/sensitivity.py --objects-dir SCANS --handoffs {REACHED}",
+            "experiments/sensitivity_figure.py",
+        ),
+    ),
+    Part(
         "stability",
         "rise, forces and the wrench that is left while an object is held",
         (f"experiments/lift_stability.py --objects-dir SCANS --handoffs {REACHED}",),
@@ -117,10 +127,10 @@ PARTS = (
         "a policy trained as published, for the rows of the preset `paper`",
         (
             "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
-            "--objects-dir SCANS --out runs/paper/handoffs.npz",
+            f"--objects-dir SCANS --out {FOLDER}/handoffs.npz",
             "-m mjx_grasp.train --preset paper --objects-dir SCANS "
-            "--handoffs runs/paper/handoffs.npz --evaluation-episodes 0 --out runs/paper/seed0",
-            "experiments/collect_runs.py runs/paper/seed0",
+            f"--handoffs {FOLDER}/handoffs.npz --evaluation-episodes 0 --out {FOLDER}/seed0",
+            f"experiments/collect_runs.py {FOLDER}/seed0",
         ),
         without_gpu="its 31 M steps take days on a few cores",
     ),
@@ -138,7 +148,7 @@ class PaperConfig(CommandSettings):
     """only say what there is, and what of it is done"""
     objects_dir: Path | None = None
     """folder of real scans"""
-    state: Path = Path("runs/paper/state.json")
+    state: Path = Path(FOLDER) / "state.json"
     """where what is done is noted"""
 
 
@@ -223,6 +233,7 @@ def _run(command: str, scans: Path, console: Console) -> None:
     there = os.path.relpath(scans, ROOT)  # results keep the command
     words = [there if word == "SCANS" else word for word in shlex.split(command)]
     console.print(f"[dim]python {command}[/dim]")
+    (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
     code = subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode
     if code:
         raise MjxGraspError(

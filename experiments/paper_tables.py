@@ -24,15 +24,19 @@ _SQUEEZE = f"squeeze {_FORCE_N:g} N"
 _LONG_S = 8.0
 """How long the publication shows a hold."""
 
-Error = tuple[float, float]
-Cells = dict[Error, dict[str, Any]]
+Cells = dict[tuple[float, ...], dict[str, Any]]
 
 
-def summed(rows: list[dict[str, Any]]) -> Cells:
-    """Success, its bootstrap interval over start states, and the force of each cell."""
+def summed(rows: list[dict[str, Any]], by: tuple[str, ...] = ("offset_mm", "angle_deg")) -> Cells:
+    """Success, its bootstrap interval over start states, and the force of each cell.
+
+    Args:
+        rows: Of one controller.
+        by: What tells cells apart.
+    """
     found: Cells = {}
-    for at in dict.fromkeys((row["offset_mm"], row["angle_deg"]) for row in rows):
-        of = [row for row in rows if (row["offset_mm"], row["angle_deg"]) == at]
+    for at in dict.fromkeys(tuple(row[name] for name in by) for row in rows):
+        of = [row for row in rows if tuple(row[name] for name in by) == at]
         lengths = [len(row["outcomes"]) for row in of]
         trials = SameStarts(
             np.array([[c == OUTCOMES["successes"] for row in of for c in row["outcomes"]]]),
@@ -48,6 +52,12 @@ def summed(rows: list[dict[str, Any]]) -> Cells:
     return found
 
 
+def cell_text(cell: dict[str, Any]) -> str:
+    """Success with its interval, and the force where anything began to be lifted."""
+    success = f"{cell['success']:.1f} ({cell['low']:.0f}–{cell['high']:.0f})"
+    return success + (f", {cell['force']:.1f} N" if np.isfinite(cell["force"]) else "")
+
+
 def pose_errors(path: Path) -> str:
     """One line per error, one column per controller."""
     if not path.exists():
@@ -57,10 +67,7 @@ def pose_errors(path: Path) -> str:
     lines = []
     for offset, angle in next(iter(cells.values())):
         published = paper.POSE_ERROR.get((offset, angle))
-        shown = (
-            f"{c['success']:.1f} ({c['low']:.0f}–{c['high']:.0f}), {c['force']:.1f} N"
-            for c in (of[offset, angle] for of in cells.values())
-        )
+        shown = (cell_text(of[offset, angle]) for of in cells.values())
         theirs = "" if published is None else f"{published:.1f}"
         lines.append((f"±{offset:g} mm", f"{angle:g}°", *shown, theirs))
     header = ("moved", "turned", *cells, "paper: policy")

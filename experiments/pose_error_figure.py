@@ -10,6 +10,7 @@ from pathlib import Path
 
 import tyro
 from paper_tables import summed
+from success_curves import COLOURS, success_curve
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.paper import POSE_ERROR
@@ -18,7 +19,6 @@ from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
 
 ROOT = Path(__file__).resolve().parent.parent
-_COLOURS = ("#2563a8", "#c8641e", "#9aa3ae", "#4f7f54", "#7a4f9a")
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,9 @@ def main(config: FigureConfig) -> None:
     axes = figure.subplots(1, len(angles), sharey=True, squeeze=False)[0]
     for ax, angle in zip(axes, angles, strict=True):
         style(ax)
-        for colour, (name, grid) in zip(_COLOURS, cells.items(), strict=False):
-            at = [(offset, c) for (offset, turned), c in grid.items() if turned == angle]
-            x, of = zip(*at, strict=True)
-            ax.fill_between(
-                x, [c["low"] for c in of], [c["high"] for c in of],
-                color=colour, alpha=0.15, linewidth=0,
-            )  # fmt: skip
-            ax.plot(x, [c["success"] for c in of], color=colour, marker="o", ms=3.5, label=name)
+        for colour, (name, grid) in zip(COLOURS, cells.items(), strict=False):
+            at = {offset: c for (offset, turned), c in grid.items() if turned == angle}
+            success_curve(ax, at, colour, name)
         paper = [(offset, s) for (offset, turned), s in POSE_ERROR.items() if turned == angle]
         if paper:
             ax.plot(

@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.training.config import settings_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -296,13 +297,13 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_
     monkeypatch.syspath_prepend(ROOT / "experiments")
     pose_error, ran = script("pose_error"), []
 
-    def counted(world, names, task, act, force, config):
-        ran.append(force)
+    def counted(world, names, who, conditions, config):
+        ran.append(who.force)
         if len(ran) == 2:
             raise KeyboardInterrupt
         return [{"outcomes": "S"}]
 
-    monkeypatch.setattr(pose_error, "_ran", counted)
+    monkeypatch.setattr(pose_error, "ran", counted)
     config = pose_error.PoseErrorConfig(
         out=tmp_path / "errors.json", objects=("rubiks_cube",), squeezes=(3.0,)
     )
@@ -315,6 +316,122 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_
     assert list(found) == ["policy, budget 3 N", "squeeze 3 N", "grip"]
     pose_error.main(replace(config, episodes=3))
     assert ran[5:] == [3.0, 3.0, 2.5]
+
+
+@pytest.fixture
+def sensitivity(tmp_path, monkeypatch):
+    """The script with trials that are only noted, and settings with few values."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, noted = script("sensitivity"), []
+
+    def trials(task, controller, draw, worlds):
+        noted.append((task.physics.scene.config.finger_torque, jax.device_get(draw)))
+        if len(noted) == module.stop_at:
+            raise KeyboardInterrupt
+        yes, no = np.ones(len(draw.row), bool), np.zeros(len(draw.row), bool)
+        shown = dict.fromkeys(Trials._fields, no) | {"row": np.asarray(draw.row), "success": yes}
+        return Trials(**shown | {"force_mean": 2.0 * yes})
+
+    module.stop_at = 0
+    monkeypatch.setattr(sys.modules["compared"], "run_trials", trials)
+    config = module.SensitivityConfig(
+        out=tmp_path / "sensitivity.json",
+        objects=("rubiks_cube", "sugar_box"),
+        squeezes=(3.0,),
+        episodes=3,
+        frictions=(0.4, 0.8),
+        masses=(0.5, 2.0),
+        stiffnesses=(1.0,),
+        torques=(0.25, 0.5, 1.0),
+    )
+    return SimpleNamespace(module=module, noted=noted, config=config)
+
+
+def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivity):
+    sensitivity.module.main(sensitivity.config)
+    seen, numbers = [], ("friction", "mass_scale", "stiffness", "torque")
+    usual = dict.fromkeys(numbers, 1.0) | {"friction": 0.8}
+    for torque, draw in sensitivity.noted:
+        shared = sensitivity.noted[0][1]
+        for first in range(0, len(draw.row), 6):  # of two objects three trials each
+            part = jax.tree.map(lambda x, at=first: x[at : at + 6], draw)
+            np.testing.assert_array_equal(part.offset, shared.offset)
+            np.testing.assert_array_equal(part.row, shared.row)
+            values = (part.friction, part.mass_scale, part.robot.stiffness, np.full(6, torque))
+            found = {n: float(x[0]) for n, x in zip(numbers, values, strict=True)}
+            assert all(np.ptp(x) == 0 for x in values)
+            seen.append({n: x for n, x in found.items() if not np.isclose(x, usual[n])})
+    assert 0.004 < np.abs(shared.offset).max() <= 0.005
+    weak = [{"torque": 0.25}, {"torque": 0.5}]
+    changed = [{}, {"friction": pytest.approx(0.4)}, {"mass_scale": 0.5}, {"mass_scale": 2.0}]
+    assert seen == 3 * (changed + weak)
+    content = json.loads(sensitivity.config.out.read_text())
+    assert content["schema"] == "mjx_grasp.sensitivity/1" and content["provenance"]["git"]
+    assert set(content["sha256"]) == {"policy", "handoffs"}
+    grip = content["controllers"]["grip"]
+    assert [(r["object"], r["value"], r["outcomes"]) for r in grip["torque"]] == [
+        (name, value, "SSS") for value in (0.25, 0.5) for name in ("rubiks_cube", "sugar_box")
+    ]
+    assert len(grip["nominal"]) == 2 and "stiffness" not in grip
+
+
+def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sensitivity):
+    module, noted, config = sensitivity.module, sensitivity.noted, sensitivity.config
+    module.stop_at = 7  # the second controller's factor after the nominal trials
+    with pytest.raises(KeyboardInterrupt):
+        module.main(config)
+    done = json.loads(config.out.read_text())["controllers"]
+    assert [list(of) for of in done.values()] == [
+        ["nominal", "friction", "mass", "torque"],
+        ["nominal"],
+    ]
+    module.main(config)
+    assert len(noted) == 7 + (3 * 5 - 6)
+    module.main(config)
+    assert len(noted) == 16, "nothing is left"
+    module.main(replace(config, seed=3))
+    assert len(noted) == 16 + 15
+
+
+@pytest.mark.parametrize("bad", [(), (0.0,), (0.8, 0.4), (0.8, 0.8), (float("inf"),)])
+def test_values_of_sensitivity_are_positive_and_ascend(sensitivity, bad):
+    for name in ("frictions", "masses", "stiffnesses", "torques"):
+        with pytest.raises(InputError, match=f"^--{name}: "):
+            replace(sensitivity.config, **{name: bad})
+
+
+def test_the_comparisons_need_an_object_with_start_states(sensitivity):
+    with pytest.raises(InputError, match=r"--objects: .*wine_glass.*some of "):
+        sensitivity.module.main(replace(sensitivity.config, objects=("wine_glass",)))
+
+
+def test_the_table_and_the_picture_of_sensitivity(tmp_path, monkeypatch):
+    """Nominal trials are in every curve; what was not run yet is empty, as is a force of nobody."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+
+    def row(outcomes, value=None, force=2.0):
+        named = {"object": "mug", "outcomes": outcomes, "starts": [0, 1, 2, 3]}
+        named |= {} if value is None else {"value": value}
+        return named | {"forces_n": [force] * 4}
+
+    one = {"nominal": [row("SSSS")], "mass": [row("SSLL", 2.0), row("SSSS", 0.5)]}
+    parts = {"policy": one | {"torque": [row("NNNN", 0.25, None)]}, "grip": one}
+    nominal = {"friction": 0.8, "mass": 1.0, "stiffness": 1.0, "torque": 1.0}
+    path = tmp_path / "sensitivity.json"
+    table = script("sensitivity_tables").sensitivity
+    assert table(path) == script("stage_tables").NOTHING
+    path.write_text(json.dumps({"controllers": parts, "nominal": nominal}))
+    full = "100.0 (100–100), 2.0 N"
+    assert table(path).splitlines()[2:] == [
+        f"| object's mass | 0.5 × | {full} | {full} |",
+        f"| object's mass | 1 × (nominal) | {full} | {full} |",
+        "| object's mass | 2 × | 50.0 (0–100), 2.0 N | 50.0 (0–100), 2.0 N |",
+        "| torque limit | 0.25 × | 0.0 (0–0) |  |",
+        f"| torque limit | 1 × (nominal) | {full} |  |",
+    ]
+    figure = script("sensitivity_figure")
+    figure.main(figure.FigureConfig(results=path, out=tmp_path / "sensitivity.png"))
+    assert Image.open(tmp_path / "sensitivity.png").width > 400
 
 
 def test_a_hold_lasts_from_a_rise_of_5_cm_until_the_object_is_lower():
@@ -377,6 +494,15 @@ def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_
     module.main(replace(config, parts=("one",)))
     assert paper.ran.read_text() == "12LL12L"
     assert "0 min left" in capsys.readouterr().err
+
+
+def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path, monkeypatch):
+    module = paper.module
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    write = f"-c \"open('{module.FOLDER}/handoffs.npz', 'w')\""
+    monkeypatch.setattr(module, "PARTS", (module.Part("one", "writes", (write,)),))
+    module.main(module.PaperConfig(objects_dir=tmp_path, state=tmp_path / "state.json"))
+    assert (tmp_path / "runs" / "paper" / "handoffs.npz").exists()
 
 
 def test_the_papers_parts_are_listed_and_unknown_ones_refused(paper, tmp_path, capsys):

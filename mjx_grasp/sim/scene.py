@@ -60,6 +60,8 @@ class SceneConfig(Settings):
     """most Newton iterations of a step; on a GPU all worlds wait for the one that needs most [-]"""
     line_search_iterations: Count = 20
     """most line-search steps of a Newton iteration [-]"""
+    finger_torque: Positive = 1.0
+    """factor on the torque limits of the finger actuators [-]"""
     fix_idle_fingers: bool = False
     """whether fingers that take no part in a grasp are rigid: faster, and for training only;
     evaluation moves every joint"""
@@ -166,7 +168,8 @@ def build_scene(
     template that `Scene.object_fields` replaces per world.
 
     Raises:
-        InputError: No object, or two of the same name.
+        InputError: No object, two of the same name, or a factor on a torque limit where there is
+            none.
     """
     config = config or SceneConfig()
     if config.fix_idle_fingers:
@@ -197,10 +200,14 @@ def scene_spec(
         objects: What the free body holds; of several it has a template's inertia.
         robot: What grasps.
         config: Physics.
+
+    Raises:
+        InputError: The torque limits of fingers are to differ, and one has none.
     """
     template = len(objects) > 1
     spec = robot_mjspec(robot)
     spec.modelname = "mjx_grasp"
+    _limit_fingers(spec, robot, config.finger_torque)
     _set_options(spec, config)
     _add_table(spec, config)
     _add_object_body(spec, objects, config, template)
@@ -216,6 +223,16 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
     spec.option.iterations = config.solver_iterations
     spec.option.ls_iterations = config.line_search_iterations
     spec.option.impratio = config.impratio
+
+
+def _limit_fingers(spec: mujoco.MjSpec, robot: RobotSpec, factor: float) -> None:
+    """Scales the torque limits of all the hand's actuators; the arm keeps its own."""
+    for name in robot.hand.joints:
+        actuator = spec.actuator(name)
+        if factor != 1.0 and not np.any(actuator.forcerange):
+            limit = f"1, as the MJCF gives {name} no torque limit"
+            raise InputError("SceneConfig.finger_torque", factor, limit)
+        actuator.forcerange *= factor
 
 
 def _add_table(spec: mujoco.MjSpec, config: SceneConfig) -> None:

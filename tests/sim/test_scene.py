@@ -4,8 +4,10 @@ import handmade
 import mujoco
 import numpy as np
 import pytest
+import six_axis
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import ObjectFields, SceneConfig, build_scene
 from mjx_grasp.tasks.starts import build_starts
 
@@ -194,6 +196,32 @@ def test_fixed_idle_fingers_move_the_others_alike(scene, handmade_objects, robot
         seen.append((q[driven] if one is scene else q, data.qpos[at.object_qpos]))
     np.testing.assert_allclose(seen[0][0], seen[1][0], atol=0.015)
     np.testing.assert_allclose(seen[0][1], seen[1][1], atol=5e-4)
+
+
+def test_torque_limits_of_the_fingers_scale_and_no_others(handmade_objects, robot):
+    """The compiled limits, and what the actuators then give when they are asked for the most."""
+    box, fingers = handmade_objects[:1], set(robot.hand.joints)
+    usual, weak = build_scene(box, robot), build_scene(box, robot, SceneConfig(finger_torque=0.25))
+    names = [usual.model.actuator(i).name for i in range(usual.model.nu)]
+    factor = np.array([0.25 if name in fingers else 1.0 for name in names])
+    assert set(factor) == {0.25, 1.0}
+    limits = [one.model.actuator_forcerange for one in (usual, weak)]
+    np.testing.assert_allclose(limits[1], factor[:, None] * limits[0])
+    np.testing.assert_array_equal(usual.model.actuator_gainprm, weak.model.actuator_gainprm)
+    for one, limit in zip((usual, weak), limits, strict=True):
+        data = mujoco.MjData(one.model)
+        low, high = one.model.actuator_ctrlrange.T
+        data.ctrl[:] = np.where(high > -low, high, low)
+        mujoco.mj_forward(one.model, data)
+        full = np.abs(data.actuator_force) >= limit[:, 1] - 1e-9
+        assert full.all() and np.all(np.abs(data.actuator_force) <= limit[:, 1] + 1e-9)
+
+
+def test_no_torque_limit_cannot_be_scaled(handmade_objects, tmp_path):
+    other, box = load_robot(six_axis.write_six_axis(tmp_path)), handmade_objects[:1]
+    assert not build_scene(box, other).model.actuator_forcerange.any()
+    with pytest.raises(InputError, match=r"finger_torque: found 0\.5.*no torque limit"):
+        build_scene(box, other, SceneConfig(finger_torque=0.5))
 
 
 def test_bent_idle_fingers_are_refused(handmade_objects, robot):

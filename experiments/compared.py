@@ -1,0 +1,201 @@
+"""Policy, squeezes and grip from the same starts: what the scripts that compare them share.
+
+Results keep one entry per controller. A file of the same settings, inputs and revision of the code
+is gone on with, so that an interrupted run loses only what it was at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.closing.config import REACTING, GripConfig
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.run import outcome_letters
+from mjx_grasp.evaluation.trials import (
+    Controller,
+    Trials,
+    paired_draws,
+    run_trials,
+    zero_controller,
+)
+from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
+from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
+from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.objects.catalogue import find_objects
+from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.records.atomic import check_writable, read_json
+from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
+from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.sim.scene import SceneConfig, build_scene
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
+from mjx_grasp.tasks.config import StartNoise
+
+
+@dataclass(frozen=True)
+class ComparedConfig(CommandSettings):
+    """Which controllers, from which starts."""
+
+    out: Path
+    objects: tuple[str, ...] = ("eight",)
+    objects_dir: Path | None = None
+    """folder of real scans; parametric stand-ins without one"""
+    policy: Path | None = None
+    """policy file; the shipped one by default"""
+    handoffs: Path | None = None
+    """handoff set; the shipped one by default"""
+    budgets: tuple[Positive, ...] = (3.0,)
+    """force budgets of the policy [N]"""
+    squeezes: tuple[Positive, ...] = (3.0, 5.0)
+    """forces of the squeeze [N]"""
+    episodes: Count = 16
+    """of each object under each condition [-]"""
+    seed: Seed = 0
+
+
+class Contestant(NamedTuple):
+    """A controller that is compared."""
+
+    task: TaskConfig
+    act: Controller | None
+    """None: the task's own command alone"""
+    force: float
+    """budget of the policy, or what a grip commands [N]"""
+
+
+class Comparison(NamedTuple):
+    """What there is to compare, and what of it is done."""
+
+    record: dict[str, Any]
+    """the results file"""
+    contestants: dict[str, Contestant]
+    names: list[str]
+    """objects with start states"""
+    objects: list[ObjectModel]
+    robot: RobotSpec
+    states: HandoffSet
+
+    def world(self, physics: SceneConfig) -> World:
+        """The start states in a scene."""
+        scene = build_scene(self.objects, self.robot, physics)
+        return build_world(scene, self.states, TaskConfig().control_dt)
+
+
+def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
+    """Loads everything, and what an earlier run of the same settings has left.
+
+    Args:
+        config: The script's settings.
+        schema: Of its results.
+        what: They are called in messages.
+
+    Raises:
+        InputError: No object has start states, or the file cannot be written.
+        FileError: A file is missing or damaged.
+    """
+    check_writable("--out", config.out)
+    made, robot = provenance(config.seed), load_robot()
+    policy_file = config.policy or asset_path("policy.npz")
+    handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+    policy, stored = load_controller(policy_file, robot), load_handoffs(handoffs, robot=robot)
+    record: dict[str, Any] = {
+        "schema": schema,
+        "settings": to_record(config),
+        "sha256": file_digests(policy=policy_file, handoffs=handoffs),
+        "controllers": {},
+        "provenance": made,
+    }
+    if config.out.exists():
+        before = read_json(config.out, what)
+        same = all(before.get(n) == record[n] for n in ("schema", "settings", "sha256"))
+        if same and before["provenance"]["git"] == made["git"]:
+            record = before
+    names, _ = eligible([asked.name for asked in find_objects(config.objects)], stored)
+    if not names:
+        raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
+
+    def act(obs: dict[str, Any]) -> Any:
+        return policy(obs["state"])
+
+    def gripping(grip: GripConfig) -> Contestant:
+        return Contestant(replace(TaskConfig(), grip=grip), None, grip.force)
+
+    trained = policy_task(policy)
+    contestants = (
+        {f"policy, budget {b:g} N": Contestant(trained, act, b) for b in config.budgets}
+        | {f"squeeze {f:g} N": gripping(GripConfig(force=f)) for f in config.squeezes}
+        | {"grip": gripping(REACTING)}
+    )
+    objects = load_objects(config.objects, config.objects_dir)
+    states = states_of(stored, names, "evaluation")
+    return Comparison(record, contestants, names, objects, robot, states)
+
+
+def ran(
+    world: World,
+    names: Sequence[str],
+    who: Contestant,
+    conditions: Sequence[tuple[dict[str, float], StartNoise]],
+    config: ComparedConfig,
+) -> list[dict[str, Any]]:
+    """Trials of one controller in native MuJoCo: a row per condition and object.
+
+    Args:
+        world: Scene and start states.
+        names: Objects.
+        who: The controller.
+        conditions: What a row says of each, and what its starts draw; by the seed all conditions
+            and controllers have the same draws.
+        config: How many, and the seed.
+    """
+    draws = [
+        paired_draws(
+            world.starts,
+            world.scene.object_index(name),
+            config.episodes,
+            replace(noise, budget_n=(who.force, who.force)),
+            config.seed,
+        )
+        for _, noise in conditions
+        for name in names
+    ]
+    # The noise tells the task whether objects are turned; the draws say by how much.
+    widest = StartNoise(angle_rad=max(noise.angle_rad for _, noise in conditions))
+    worlds = config.episodes * len(names)
+    run = world.task("mujoco", worlds, who.task, widest, with_privileged=False)
+    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    trials = run_trials(run, who.act or zero_controller(run), joined, worlds)
+    return rows_of(trials, [at for at, _ in conditions], names, config.episodes)
+
+
+def rows_of(
+    trials: Trials, conditions: Sequence[dict[str, float]], names: Sequence[str], episodes: int
+) -> list[dict[str, Any]]:
+    """One row per condition and object, of trials in that order."""
+    letters = outcome_letters(trials)
+    rows = []
+    for k, (at, name) in enumerate((at, name) for at in conditions for name in names):
+        of = slice(k * episodes, (k + 1) * episodes)
+        rows.append(
+            {
+                **at,
+                "object": name,
+                "outcomes": "".join(letters[of]),
+                "starts": trials.row[of].tolist(),
+                "forces_n": _rounded(np.asarray(trials.force_mean[of])),
+            }
+        )
+    return rows
+
+
+def _rounded(forces: Float[np.ndarray, " n"]) -> list[float | None]:
+    return [None if np.isnan(x) else round(float(x), 3) for x in forces]

@@ -1,0 +1,111 @@
+"""What it costs when robot or object differ from their model: success, one change at a time.
+
+Nominal are an object offset of ±5 mm, friction 0.8, and mass, finger stiffness and torque limit as
+modelled. The policy is not told what differs. All controllers have the same draws under all
+conditions, and nominal trials are run once. What is in the file already, of the same settings and
+revision of the code, is left alone, so that an interrupted run goes on.
+
+  python experiments/sensitivity.py --objects-dir SCANS --handoffs assets/handoffs_reached.npz
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from compared import ComparedConfig, Comparison, compared, ran
+from rich.console import Console
+
+from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.settings import Positive, Several
+from mjx_grasp.sim.scene import SceneConfig
+from mjx_grasp.tasks.assemble import World
+from mjx_grasp.tasks.config import RobotErrors, StartNoise
+
+SCHEMA = "mjx_grasp.sensitivity/1"
+NOMINAL = {"friction": 0.8, "mass": 1.0, "stiffness": 1.0, "torque": 1.0}
+"""Of each factor: what trials under another one have."""
+_NOISE = StartNoise(offset_m=0.005, friction=(NOMINAL["friction"],) * 2)
+_DRAWN: dict[str, Callable[[float], StartNoise]] = {
+    "friction": lambda x: replace(_NOISE, friction=(x, x)),
+    "mass": lambda x: replace(_NOISE, mass_scale=(x, x)),
+    "stiffness": lambda x: replace(_NOISE, robot=RobotErrors(stiffness=(x, x))),
+}
+
+Values = Annotated[tuple[Positive, ...], Several(ascending=True, strictly=True)]
+
+
+@dataclass(frozen=True)
+class SensitivityConfig(ComparedConfig):
+    """Which controllers, and what differs; a factor with its nominal value alone is left out."""
+
+    out: Path = Path("experiments/results/sensitivity.json")
+    frictions: Values = (0.4, 0.6, 0.8, 1.0, 1.2)
+    """sliding frictions of every contact with the object [-]"""
+    masses: Values = (0.5, 0.75, 1.0, 1.5, 2.0)
+    """factors on the object's mass [-]"""
+    stiffnesses: Values = (0.5, 0.7, 1.0, 1.4, 2.0)
+    """factors on the position gains of the fingers [-]"""
+    torques: Values = (0.25, 0.5, 0.75, 1.0)
+    """factors on the torque limits of the finger actuators [-]"""
+
+
+def changes(config: SensitivityConfig) -> dict[str, list[float]]:
+    """The values of each factor that are not nominal; of factors that have any."""
+    asked = (config.frictions, config.masses, config.stiffnesses, config.torques)
+    apart = {
+        factor: [x for x in values if x != nominal]
+        for (factor, nominal), values in zip(NOMINAL.items(), asked, strict=True)
+    }
+    return {factor: values for factor, values in apart.items() if values}
+
+
+def main(config: SensitivityConfig) -> None:
+    """Runs what is not there yet."""
+    found = compared(config, SCHEMA, "a table of sensitivities")
+    found.record["nominal"] = NOMINAL
+    done, asked = found.record["controllers"], {"nominal": [1.0]} | changes(config)
+    left = [
+        (name, factor)
+        for name in found.contestants
+        for factor in asked
+        if factor not in done.get(name, {})
+    ]
+    # Scenes differ in torque limits alone.
+    world = functools.cache(lambda limit: found.world(SceneConfig(finger_torque=limit)))
+    with counting_progress(Console(stderr=True)) as bar:
+        job = bar.add_task("trials", total=sum(len(asked[factor]) for _, factor in left))
+        for name, factor in left:
+            rows = _rows(world, found, name, factor, asked[factor], config)
+            done.setdefault(name, {})[factor] = rows
+            write_json(config.out, found.record)
+            bar.update(job, advance=len(asked[factor]))
+
+
+def _rows(
+    world: Callable[[float], World],
+    found: Comparison,
+    name: str,
+    factor: str,
+    values: list[float],
+    config: SensitivityConfig,
+) -> list[dict[str, Any]]:
+    """A controller's rows under all values of one factor."""
+    who = found.contestants[name]
+    if factor == "torque":
+        parts = [ran(world(x), found.names, who, [({"value": x}, _NOISE)], config) for x in values]
+        return [row for part in parts for row in part]
+    if factor == "nominal":
+        conditions: list[tuple[dict[str, float], StartNoise]] = [({}, _NOISE)]
+    else:
+        conditions = [({"value": x}, _DRAWN[factor](x)) for x in values]
+    return ran(world(1.0), found.names, who, conditions, config)
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(SensitivityConfig, description=__doc__)))

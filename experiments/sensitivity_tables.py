@@ -1,0 +1,54 @@
+"""Success and force over what differs from the model; `make_readme.py` puts the table in place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from paper_tables import cell_text, summed
+from stage_tables import NOTHING, markdown, read
+
+from mjx_grasp.records.table import Table
+
+FACTORS = {
+    "friction": ("sliding friction", "{:g}"),
+    "mass": ("object's mass", "{:g} ×"),
+    "stiffness": ("finger stiffness", "{:g} ×"),
+    "torque": ("torque limit", "{:g} ×"),
+}
+"""What each is called, and its values."""
+
+Curve = dict[float, dict[str, Any]]
+
+
+def curves(content: dict[str, Any]) -> dict[str, dict[str, Curve]]:
+    """Of each controller and each factor that was run, success and force over its values.
+
+    The nominal trials are part of every curve.
+    """
+    found: dict[str, dict[str, Curve]] = {}
+    for name, parts in content["controllers"].items():
+        (nominal,) = summed(parts["nominal"], ()).values()
+        for factor, usual in content["nominal"].items():
+            if factor in parts:
+                cells = {x: cell for (x,), cell in summed(parts[factor], ("value",)).items()}
+                curve = dict(sorted(({usual: nominal} | cells).items(), key=lambda at: at[0]))
+                found.setdefault(name, {})[factor] = curve
+    return found
+
+
+def sensitivity(path: Path) -> str:
+    """One line per changed value, one column per controller."""
+    content = read(path)
+    if content is None:
+        return NOTHING
+    found = curves(content)
+    lines = []
+    for factor, (called, shown) in FACTORS.items():
+        values = {x for of in found.values() for x in of.get(factor, {})}
+        for x in sorted(values):
+            cells = (of.get(factor, {}).get(x) for of in found.values())
+            texts = (cell_text(cell) if cell else "" for cell in cells)  # not run yet
+            mark = " (nominal)" if x == content["nominal"][factor] else ""
+            lines.append((called, shown.format(x) + mark, *texts))
+    return markdown(Table("Sensitivity", ("what", "value", *found), tuple(lines), names=2))

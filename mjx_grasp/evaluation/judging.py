@@ -113,6 +113,12 @@ def mean_force(trials: SameStarts, weights: Weights) -> Float[np.ndarray, "r c"]
         return np.where(known, means, 0.0).sum(axis=0) / known.sum(axis=0)
 
 
+def gain(trials: SameStarts, weights: Weights, first: int, second: int) -> Estimate:
+    """By how much the first of two controllers lifts more often than the second [points]."""
+    success = mean_success(trials, weights)
+    return _estimate(success[:, first] - success[:, second])
+
+
 def gain_at_equal_force(trials: SameStarts, weights: Weights, others: Sequence[int]) -> Estimate:
     """By how much the first controller lifts more often than the others at its force [points].
 

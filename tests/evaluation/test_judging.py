@@ -11,6 +11,7 @@ from scipy import stats
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table, fronts, headline
 from mjx_grasp.evaluation.judging import (
+    gain,
     gain_at_equal_force,
     gains_within,
     mean_force,
@@ -123,6 +124,20 @@ def test_the_interval_of_single_starts_agrees_with_scipys_bootstrap():
         (100.0 * success,), np.mean, method="percentile", n_resamples=20_000, rng=1
     ).confidence_interval
     assert np.quantile(drawn, [0.025, 0.975]) == pytest.approx(tuple(expected), abs=0.8)
+
+
+def test_a_gain_is_that_of_the_pairs():
+    """What both fail or both do adds no doubt; the other way round it is the opposite."""
+    rows = [[row("SSSSLLLL", [2.0] * 8)], [row("SSLLLLLL", [2.0] * 8)]]
+    found = same_starts(rows)
+    weights = resampled(found)
+    there, back = (gain(found, weights, *order) for order in ((0, 1), (1, 0)))
+    assert there.value == 25.0 and there.value == -back.value
+    assert there.ci95 == pytest.approx((-back.ci95[1], -back.ci95[0]))
+    apart = np.array([0, 0, 100, 100, 0, 0, 0, 0])
+    expected = stats.bootstrap((apart,), np.mean, method="percentile", rng=1).confidence_interval
+    assert there.ci95 == pytest.approx(tuple(expected), abs=7)
+    assert there.ci95[0] >= 0.0
 
 
 def test_starts_that_are_used_twice_widen_the_interval():

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps import circumstances, problems
+from mjx_grasp.evaluation.grasps import circumstances, problems, rollout
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
@@ -29,8 +29,12 @@ from mjx_grasp.evaluation.grasps.scenario import (
 )
 from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.objects.model import load_object
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import PALM
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import make_params
@@ -204,6 +208,28 @@ def test_objects_keep_away_from_where_they_are_told():
     assert len(problem.p_wo) == 20
     with pytest.raises(InputError, match="away"):
         problems.draw_problem([cube], 2, 0, away=away._replace(distance=3.0))
+
+
+def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
+    """Without a planner no ways; of an object that is not weighed no weight."""
+
+    class BegunError(Exception):
+        pass
+
+    def begun(grasper, measured, known, seen, ways):
+        raise BegunError(float(known.weight[0]), ways)
+
+    monkeypatch.setattr(rollout, "_start", begun)
+    grasper = grasper_of(robot, reaching=whole_grasps("paper"))
+    shape = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
+    candidates = cylinder_candidates(*shape, robot.hand.span, around=8, along=3)
+    problem = GraspProblem(np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]))
+    known = problems.known_of([Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))], problem)
+    for weighed, weight in ((True, 2.0), (False, 0.0)):
+        with pytest.raises(BegunError) as begins:
+            scenario = Scenario(weighed=weighed)
+            rollout.grasp_all(grasper, None, box_world, known, problem, scenario)
+        assert begins.value.args == (weight, None)
 
 
 def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0):

@@ -11,22 +11,28 @@ from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenariosConfig(ObjectsConfig):
-    """Grasps from home in native MuJoCo, while this or that happens."""
+class GraspsConfig(ObjectsConfig):
+    """Which grasps from home, whoever makes them."""
 
-    out: Annotated[Path, Suffix((".json",))]
-    """results file (.json); one that an interrupted run left is gone on with"""
     scenarios: tuple[str, ...] = ("all",)
     """scenarios by name, all of them, or files of your own (.yaml)"""
     episodes: Count = 8
     """of each object in each scenario [-]"""
     seed: Seed = 0
     """of the poses, the plans and what happens"""
-    controller: Literal["grip", "policy"] = "grip"
-    """what closes: a grip that answers to load, or a policy on top of it"""
     policy: Path | None = None
     """policy file; the shipped one by default"""
     force_budget: Positive = 3.0
     """mean force per finger that a policy which knows a budget may take [N]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenariosConfig(GraspsConfig):
+    """Grasps from home in native MuJoCo, while this or that happens."""
+
+    out: Annotated[Path, Suffix((".json",))]
+    """results file (.json); one that an interrupted run left is gone on with"""
+    controller: Literal["grip", "policy"] = "grip"
+    """what closes: a grip that answers to load, or a policy on top of it"""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,16 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
-from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
-from mjx_grasp.evaluation.grasps.results import as_record, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import grasp_all, home_tips
+from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
+from mjx_grasp.evaluation.grasps.results import as_record
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
-from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.grasper import Grasper
-from mjx_grasp.posture.library import Library
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
-from mjx_grasp.sim.native import NativePhysics
-from mjx_grasp.sim.scene import build_scene
 
 SCHEMA = "mjx_grasp.scenarios/1"
 _PERCENT = 100
@@ -52,8 +45,12 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     check_writable("--out", config.out)
     scenarios = load_scenarios(config.scenarios)
     file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
-    makers = _Makers(config, load_robot(config.robot), file)
+    makers = Makers(config, load_robot(config.robot))
     made, settings = provenance(config.seed), to_record(config)
+
+    def make(robot: RobotSpec, approach: Approach) -> Grasper:
+        return loaded_grasper(robot, file, config.force_budget, approach=approach)
+
     done = _finished(config.out, settings, made, console)
     for name, scenario in scenarios.items():
         if name not in done:
@@ -63,7 +60,7 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
             job = bar.add_task(name, total=_PERCENT, completed=_PERCENT if name in done else 0)
             if name in done:
                 continue
-            done[name] = _run(scenario, makers, config, bar, job)
+            done[name] = _run(scenario, make, makers, bar, job)
             bar.update(job, completed=_PERCENT)
             write_json(
                 config.out,
@@ -78,67 +75,15 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     return {"config": settings, "scenarios": done}
 
 
-@dataclass
-class _Makers:
-    """Controllers and worlds that scenarios share, each made once, as each compiles for itself."""
-
-    config: ScenariosConfig
-    robot: RobotSpec
-    policy: Path | None
-    _graspers: dict[Any, tuple[Grasper, Library]] = field(default_factory=dict)
-    _worlds: dict[Any, NativePhysics] = field(default_factory=dict)
-    _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
-
-    def grasper(self, scenario: Scenario) -> tuple[Grasper, Library]:
-        key = scenario.table_height, scenario.approach
-        if key not in self._graspers:
-            robot = self.robot.mounted(-scenario.table_height)
-            budget, approach = self.config.force_budget, scenario.approach
-            grasper = loaded_grasper(robot, self.policy, budget, approach=approach)
-            assert grasper.planner is not None
-            library = start_library(grasper.reacher.body, grasper.planner.config)
-            self._graspers[key] = grasper, library
-        return self._graspers[key]
-
-    def objects(self, scenario: Scenario) -> list[ObjectModel]:
-        config, names = self.config, scenario.objects or self.config.objects
-        if names not in self._objects:
-            models = load_objects(names, config.objects_dir, weight=config.weight)
-            self._objects[names] = list(models)
-        return self._objects[names]
-
-    def world(self, scenario: Scenario) -> NativePhysics:
-        key = scenario.table_height, scenario.objects
-        if key not in self._worlds:
-            robot = self.robot.mounted(-scenario.table_height)
-            grasper, _ = self.grasper(scenario)
-            self._worlds[key] = NativePhysics(
-                build_scene(self.objects(scenario), robot), grasper.dt
-            )
-        return self._worlds[key]
-
-
 def _run(
-    scenario: Scenario, makers: _Makers, config: ScenariosConfig, bar: Progress, job: Any
+    scenario: Scenario, make: MakeGrasper, makers: Makers, bar: Progress, job: Any
 ) -> dict[str, Any]:
     started = time.perf_counter()
-    objects, (grasper, library) = makers.objects(scenario), makers.grasper(scenario)
-    # As many trials where a scenario names fewer objects: the compiled functions are shared.
-    trials = config.episodes * len(makers.objects(Scenario())) // len(objects)
-    away = Away(home_tips(grasper), scenario.away) if scenario.away else None
-    problem = draw_problem(objects, trials, config.seed, away=away)
-    each = [known_object(obj, makers.robot) for obj in objects]
-    for obj, of in zip(objects, each, strict=True):
-        check_graspable(obj.name, float(of.candidates.score.max()), makers.robot.hand)
-    known = known_of(each, problem)
-    end, trace = grasp_all(
-        grasper, library, makers.world(scenario), known, problem, scenario, config.seed,
-        lambda share: bar.update(job, completed=round(_PERCENT * share)),
-    )  # fmt: skip
-    names = [obj.name for obj in objects]
-    record = as_record(grasp_rows(names, problem, end, trace, grasper.dt, scenario.hold_s))
+    rows = makers.run(
+        scenario, make, lambda share: bar.update(job, completed=round(_PERCENT * share))
+    )
     seconds = round(time.perf_counter() - started, 1)
-    return {"settings": to_record(scenario), "seconds": seconds, **record}
+    return {"settings": to_record(scenario), "seconds": seconds, **as_record(rows)}
 
 
 def _finished(

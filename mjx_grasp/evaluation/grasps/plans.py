@@ -18,7 +18,7 @@ _AT_ONCE = 8
 
 def planned(
     grasper: Grasper,
-    library: Library,
+    library: Library | None,
     known: Known,
     seen: Seen,
     q: Float[Array, "w n"],
@@ -30,7 +30,7 @@ def planned(
 
     Args:
         grasper: The controller.
-        library: Where its planner starts.
+        library: Where its planner starts; None for one without a planner.
         known: Of each world's object.
         seen: What each perceives.
         q: Measured joint positions [rad].
@@ -38,6 +38,8 @@ def planned(
         key: Of what is tried at random.
         rows: The worlds.
     """
+    if library is None:
+        return None
     parts, size = [], min(_AT_ONCE, len(q))
     for first in range(0, len(rows), size):
         some = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]

@@ -117,7 +117,7 @@ def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
 
 def grasp_all(
     grasper: Grasper,
-    library: Library,
+    library: Library | None,
     physics: NativePhysics,
     known: Known,
     problem: GraspProblem,
@@ -129,7 +129,7 @@ def grasp_all(
 
     Args:
         grasper: The controller.
-        library: Where its planner starts.
+        library: Where its planner starts; None for one without a planner.
         physics: Of the scene with all objects of the problem.
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
@@ -138,6 +138,8 @@ def grasp_all(
         progress: Told which share of the longest possible time is done.
     """
     scenario = scenario or Scenario()
+    if not scenario.weighed:
+        known = known._replace(weight=jnp.zeros_like(known.weight))
     scene, worlds = physics.scene, len(problem.object_index)
     at, dt, friction = scene.addresses, grasper.dt, scene.config.friction[0]
     home = np.asarray(grasper.reacher.body.home, np.float32)

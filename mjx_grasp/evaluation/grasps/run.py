@@ -11,7 +11,7 @@ from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.robot.spec import RobotSpec
-from mjx_grasp.tasks.config import EndToEndConfig
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 
 def loaded_grasper(
@@ -33,11 +33,27 @@ def loaded_grasper(
     Raises:
         FileError: The policy is unreadable, or of another robot or task.
     """
+    reaching = whole_grasps(steered=steered, approach=approach)
     if file is None:
-        return grasper_of(robot, reaching=whole_grasps(steered=steered, approach=approach))
+        return grasper_of(robot, reaching=reaching)
+    return grasper_of(robot, *loaded_policy(robot, file, budget), reaching)
+
+
+def loaded_policy(
+    robot: RobotSpec, file: Path, budget: float = 3.0
+) -> tuple[ClosingTaskConfig, LearnedPolicy]:
+    """A policy, and the settings of closing that it was trained with.
+
+    Args:
+        robot: Arm and hand.
+        file: The policy.
+        budget: Mean force per finger that a policy which knows a budget may take [N].
+
+    Raises:
+        FileError: The policy is unreadable, or of another robot or task.
+    """
     policy = load_controller(file, robot)
     task = policy_task(policy)
     if isinstance(task, EndToEndConfig):
         raise FileError(file, "a policy that reaches by itself", "one of the closing task")
-    learned = LearnedPolicy(policy, task.observation, budget)
-    return grasper_of(robot, task, learned, whole_grasps(steered=steered, approach=approach))
+    return task, LearnedPolicy(policy, task.observation, budget)

@@ -100,6 +100,8 @@ class Scenario(Settings):
     """of the table top above the robot's base [m]"""
     mass_scale: Positive = 1.0
     """of the object's mass; the controller believes it to be 1 [-]"""
+    weighed: bool = True
+    """whether the controller knows the weight; else its grip learns of it in the lift alone"""
     told: bool = True
     """whether fingertips tell what they touch; else the momentum observer alone does"""
     hold_s: Positive = 1.0

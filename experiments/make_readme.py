@@ -15,6 +15,7 @@ from pathlib import Path
 
 import closing_tables
 import paper_tables
+import pipeline_tables
 import policy_tables
 import reach_tables
 import sensing_tables
@@ -91,6 +92,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "grasps": stage_tables.whole_grasps(folder / "scenarios.json"),
             "scenarios": stage_tables.scenarios(folder / "scenarios.json"),
+            "pipeline-ablation": pipeline_tables.pipeline_ablation(
+                folder / "pipeline_ablation.json"
+            ),
             "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": stage_tables.grasper_speed(folder / "grasper_cpu.json"),
             "route": stage_tables.route(folder / "route.json"),

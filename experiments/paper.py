@@ -123,6 +123,11 @@ PARTS = (
         ),
     ),
     Part(
+        "ablation",
+        "whole grasps without one part of the method each",
+        ("experiments/pipeline_ablation.py --objects-dir SCANS",),
+    ),
+    Part(
         "paper-policy",
         "a policy trained as published, for the rows of the preset `paper`",
         (

@@ -1,0 +1,289 @@
+"""What each part of the method contributes to whole grasps: the full system without one thing.
+
+Objects lie at random on the table and are grasped from home in native MuJoCo. The full system is
+the shipped policy with a force budget on top of planned reaching; every variant leaves out one part
+of it, or takes the published one instead, and has the same poses and draws. The selection has no
+setting by which it would choose once only: while a plan is followed its candidate stays the best,
+and without plans, in `paper-reaching`, it is the published selection of every tick.
+
+A variant under a scenario that is in the file already, of the same settings, files and revision of
+the code, is left alone, so that an interrupted run goes on.
+
+  python experiments/pipeline_ablation.py --objects-dir SCANS
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar
+
+import tyro
+from pipeline_tables import FULL
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.closing.config import REACTING, CloserConfig, GripConfig
+from mjx_grasp.closing.learned import LearnedPolicy
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.grasps.config import GraspsConfig
+from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
+from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
+from mjx_grasp.evaluation.grasps.run import loaded_policy
+from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
+from mjx_grasp.evaluation.grasps.tables import scenario_table
+from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
+from mjx_grasp.pipeline.config import GrasperConfig
+from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.reaching.approach import Approach
+from mjx_grasp.reaching.presets import GATES, ReachPreset
+from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.records.settings import Settings, Several, Suffix, to_record
+from mjx_grasp.robot.spec import RobotSpec, load_robot
+
+SCHEMA = "mjx_grasp.pipeline_ablation/1"
+_NEVER = math.inf
+_NO_TORQUE = 1e6  # N m: none of the joints has as much
+_PERCENT = 100
+_KEPT = ("object", "outcome", "failure", "lifted_s", "force_mean_n")
+"""Of a trial's row."""
+_ASKED = ("out", "variants", "scenarios")
+"""Settings that say which results there are, and nothing of how they come about."""
+
+
+@dataclass(frozen=True)
+class System(Settings):
+    """Everything that controls a whole grasp."""
+
+    closing: CloserConfig
+    """with the policy that of its training"""
+    policy: bool = True
+    """whether a policy closes on top of it"""
+    reaching: ReachPreset = field(default_factory=whole_grasps)
+    grasper: GrasperConfig = field(default_factory=GrasperConfig)
+
+
+class Variant(NamedTuple):
+    """The full system but for one thing."""
+
+    says: str
+    system: Mapping[str, Any] = {}
+    """fields of `System`, by their paths"""
+    scenario: Mapping[str, Any] = {}
+    """fields of `Scenario`: what the controller is told"""
+
+
+def _squeeze(force: float) -> Variant:
+    closing = CloserConfig(grip=GripConfig(force=force))
+    return Variant(f"a squeeze of {force:g} N closes", {"closing": closing, "policy": False})
+
+
+VARIANTS = {
+    FULL: Variant("the full system"),
+    "observer-alone": Variant("no touch flags, the observer alone", scenario={"told": False}),
+    "weight-unknown": Variant(
+        "the grip does not begin with the force for the known weight", scenario={"weighed": False}
+    ),
+    "grip": Variant(
+        "the grip that answers to load closes, no policy",
+        {"closing": CloserConfig(grip=REACTING), "policy": False},
+    ),
+    "squeeze-3": _squeeze(3.0),
+    "squeeze-5": _squeeze(5.0),
+    "paper-reaching": Variant(
+        "reaching as published, without plans", {"reaching": whole_grasps("paper")}
+    ),
+    "no-guide": Variant(
+        "plans choose the contacts and do not guide the hand",
+        {"reaching.reach.guide.enabled": False},
+    ),
+    "no-look-ahead": Variant(
+        "plans do not look ahead to closing and lift",
+        {"reaching.plan.lift_error": _NEVER, "reaching.plan.touch_error": _NEVER},
+    ),
+    "paper-gate": Variant(
+        "handoff as published, by the midpoint alone",
+        {"reaching.reach.controller.gate": GATES["paper"]},
+    ),
+    "no-new-plans": Variant(
+        "no new plans while the hand reaches", {"reaching.reach.controller.replan_moved": _NEVER}
+    ),
+    "no-follow": Variant(
+        "reaching takes the object to be at rest",
+        {"reaching.reach.limits.follow_object": False},
+    ),
+    "one-try": Variant(
+        "no other plan after a stall or a time-out, no second grasp",
+        {"reaching.reach.controller.reselections": 0, "grasper.retries": 0},
+    ),
+    "no-return": Variant(
+        "closing goes on where the object has moved away", {"grasper.lost": _NEVER}
+    ),
+    "flags-alone": Variant(
+        "no observer, touch flags alone", {"closing.observer.contact_torque": _NO_TORQUE}
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineAblationConfig(GraspsConfig):
+    """What to leave out, and under which circumstances."""
+
+    out: Annotated[Path, Suffix((".json",))] = Path("experiments/results/pipeline_ablation.json")
+    """results file (.json); one that an interrupted run left is gone on with"""
+    variants: Annotated[tuple[str, ...], Several()] = ("all",)
+    """by name, or all of them"""
+    scenarios: tuple[str, ...] = ("nominal", "moved_before_closing", "noisy_pose")
+
+
+S = TypeVar("S")
+
+
+def changed(settings: S, path: str, value: Any) -> S:
+    """Settings with another value in a field, or in a field of a field."""
+    name, _, rest = path.partition(".")
+    new: Any = settings
+    return replace(new, **{name: changed(getattr(new, name), rest, value) if rest else value})
+
+
+def chosen(names: Sequence[str]) -> list[str]:
+    """Names of variants, in their own order.
+
+    Raises:
+        InputError: There is no such variant.
+    """
+    for name in names:
+        if name not in ("all", *VARIANTS):
+            raise InputError("--variants", name, f"all, or some of {', '.join(VARIANTS)}")
+    return [name for name in VARIANTS if name in names or "all" in names]
+
+
+def system_of(variant: Variant, closing: CloserConfig) -> System:
+    """What controls in a variant.
+
+    Args:
+        variant: The full system but for one thing.
+        closing: The policy's.
+    """
+    system = System(closing)
+    for path, value in variant.system.items():
+        system = changed(system, path, value)
+    return system
+
+
+def maker(system: System, policy: LearnedPolicy) -> MakeGrasper:
+    """What makes the controller of a system."""
+
+    def make(robot: RobotSpec, approach: Approach) -> Grasper:
+        reaching = system.reaching
+        if reaching.plan is not None:
+            reaching = changed(reaching, "plan.approach", approach)
+        learned = policy if system.policy else None
+        return grasper_of(robot, system.closing, learned, reaching, system.grasper)
+
+    return make
+
+
+def about(variant: Variant, scenario: Scenario, objects: Sequence[ObjectModel]) -> dict[str, Any]:
+    """What decides a result beside what all in the file share."""
+    changes = {k: to_record(v) for k, v in {**variant.system, **variant.scenario}.items()}
+    meshes = {obj.name: obj.content_hash for obj in objects}
+    return {"changes": changes, "settings": to_record(scenario), "meshes": meshes}
+
+
+def trials(rows: Sequence[GraspRow]) -> dict[str, Any]:
+    """What is kept of the trials of a variant under a scenario."""
+    record = as_record(rows)
+    record["rows"] = [{name: row[name] for name in _KEPT} for row in record["rows"]]
+    return record
+
+
+def kept(
+    path: Path, header: dict[str, Any], made: dict[str, Any], console: Console
+) -> dict[str, dict[str, Any]]:
+    """Results that a run with the same settings, files and revision has left.
+
+    Raises:
+        FileError: The file is another one's.
+    """
+    if not path.exists():
+        return {}
+    before = read_json(path, "results of this script")
+    if before.get("schema") != SCHEMA:
+        raise FileError(path, f"schema {before.get('schema')!r}", f"none, or {SCHEMA}")
+    same = all(before.get(name) == value for name, value in header.items())
+    # Changes that are not committed may be others than before.
+    same = same and before["provenance"]["git"] == made["git"] and "dirty" not in made["git"]
+    if not same:
+        console.print(f"{path}: of other settings, files or code; begun anew")
+        return {}
+    return before["results"]
+
+
+def show(bar: Progress, job: TaskID, share: float) -> None:
+    """Which share of a run is done."""
+    bar.update(job, completed=round(_PERCENT * share))
+
+
+def main(config: PipelineAblationConfig) -> None:
+    """Runs what is not there yet."""
+    check_writable("--out", config.out)
+    names, scenarios = chosen(config.variants), load_scenarios(config.scenarios)
+    made, robot, console = provenance(config.seed), load_robot(config.robot), Console(stderr=True)
+    file = config.policy or asset_path("policy.npz")
+    closing, policy = loaded_policy(robot, file, config.force_budget)
+    systems = {name: system_of(VARIANTS[name], closing) for name in names}
+    make = {system: maker(system, policy) for system in systems.values()}
+    given = {
+        (name, at): replace(scenario, **VARIANTS[name].scenario)
+        for name in names
+        for at, scenario in scenarios.items()
+    }
+    makers = Makers(config, robot)
+    for (name, _), scenario in given.items():  # refuses before anything long starts
+        if systems[name].reaching.plan is None and scenario.approach != "any":
+            free = f"one without an approach: {name} does not plan"
+            raise InputError("--scenarios", scenario.approach, free)
+        makers.objects(scenario)
+    asked = {k: v for k, v in to_record(config).items() if k not in _ASKED}
+    header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=file)}
+    results = kept(config.out, header, made, console)
+    by = {
+        (name, at): about(VARIANTS[name], scenario, makers.objects(scenario))
+        for (name, at), scenario in given.items()
+    }
+
+    def is_done(name: str, at: str) -> bool:
+        found = results.get(name, {}).get(at, {})
+        return all(found.get(what) == value for what, value in by[name, at].items())
+
+    left = [pair for pair in given if not is_done(*pair)]
+    with counting_progress(console) as bar:
+        runs = bar.add_task("variants under scenarios", total=len(given))
+        bar.update(runs, completed=len(given) - len(left))
+        for name, at in left:
+            started, scenario = time.perf_counter(), given[name, at]
+            job = bar.add_task(f"{name}, {at}", total=_PERCENT)
+            rows = makers.run(scenario, make[systems[name]], partial(show, bar, job))
+            seconds = {"seconds": round(time.perf_counter() - started, 1)}
+            results.setdefault(name, {})[at] = by[name, at] | seconds | trials(rows)
+            ordered = {name: results[name] for name in VARIANTS if name in results}
+            says = {name: VARIANTS[name].says for name in ordered}
+            content = header | {"variants": says, "results": ordered, "provenance": made}
+            write_json(config.out, content)
+            bar.remove_task(job)
+            bar.update(runs, advance=1)
+    Console().print(scenario_table({f"{n}, {at}": results[n][at] for n, at in given}))
+    console.print(f"written: {config.out}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(PipelineAblationConfig, description=__doc__)))

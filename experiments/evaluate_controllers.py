@@ -12,13 +12,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import tyro
+from jaxtyping import Bool
+from processes import core_shares, spread
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
@@ -29,6 +32,7 @@ from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import (
     CommandSettings,
@@ -40,7 +44,7 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world
 from mjx_grasp.tasks.config import RobotErrors
 
 CONDITIONS = {
@@ -95,6 +99,8 @@ class ComparisonConfig(CommandSettings):
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
+    processes: Count = 1
+    """that share the controllers among them, and the cores; the results are the same"""
     seed: Seed = 1
 
 
@@ -141,59 +147,103 @@ def before(
     return list(kept.rows), kept.provenance, counted
 
 
-def main(config: ComparisonConfig) -> None:
-    """Runs the comparison."""
-    if not (config.with_policy or config.squeeze_forces or config.grip_frictions):
-        raise InputError("--squeeze-forces", "no controller at all", "one controller or more")
-    console = Console(stderr=True)
+class _Evaluator(NamedTuple):
+    """What every evaluation of a comparison needs."""
+
+    world: World
+    names: list[str]
+    without: list[str]
+    """objects without start states"""
+    policy: Policy
+    reached: Bool[np.ndarray, " n"]
+
+    def asked(self, config: ComparisonConfig) -> list[EvaluateConfig]:
+        """All controllers under all conditions."""
+        bases = [
+            EvaluateConfig(
+                out=config.out,
+                engine=config.engine,
+                episodes=config.episodes,
+                worlds=config.worlds,
+                seed=config.seed,
+                robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
+                **CONDITIONS[name],
+            )
+            for name in config.conditions
+        ]
+        knows_budget = policy_task(self.policy).observation.budget
+        return [each for base in bases for each in asked_controllers(base, config, knows_budget)]
+
+
+_here: list[_Evaluator] = []
+"""That of this process."""
+
+
+def _load(config: ComparisonConfig) -> None:
+    """Makes this process's evaluator."""
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     robot = load_robot()
     policy, stored = load_controller(file, robot), load_handoffs(handoffs, robot=robot)
-    made_of = {
-        "settings": to_record(config),
-        "sha256": file_digests(policy=file, handoffs=handoffs),
-    }
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, without = eligible(scene.object_names, stored)
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
     states = states_of(stored, names, config.states)
     world = build_world(scene, states, TaskConfig().control_dt)
+    _here[:] = [_Evaluator(world, names, without, policy, states.reached)]
+
+
+def _evaluated(chosen: EvaluateConfig) -> tuple[list[ResultRow], dict[str, int]]:
+    """Rows of one controller under one condition, and incidents."""
+    (own,) = _here
+    controller = own.policy if chosen.controller == "policy" else None
+    quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
+    rows, trials = evaluate(own.world, own.names, chosen, controller, own.reached, quiet)
+    return rows, incidents(trials.values())
+
+
+def main(config: ComparisonConfig) -> None:
+    """Runs the comparison."""
+    if not (config.with_policy or config.squeeze_forces or config.grip_frictions):
+        raise InputError("--squeeze-forces", "no controller at all", "one controller or more")
+    core_shares(config.processes)  # refuses before anything long starts
+    console = Console(stderr=True)
+    _load(config)
+    (own,) = _here
+    made_of = {
+        "settings": to_record(replace(config, processes=1)),  # they make no difference
+        "sha256": file_digests(
+            policy=config.policy or asset_path("policy.npz"),
+            handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
+        ),
+    }
     rows, made, counted = before(config, made_of)
-    finished = len(rows) // len(names)
-    for name in config.conditions:
-        base = EvaluateConfig(
-            out=config.out,
-            engine=config.engine,
-            episodes=config.episodes,
-            worlds=config.worlds,
-            seed=config.seed,
-            robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
-            **CONDITIONS[name],
-        )
-        controllers = asked_controllers(base, config, policy_task(policy).observation.budget)
-        for chosen in controllers:
-            if finished > 0:
-                finished -= 1
-                continue
-            controller = policy if chosen.controller == "policy" else None
-            new, trials = evaluate(world, names, chosen, controller, states.reached, console)
+    asked, finished = own.asked(config), len(rows) // len(own.names)
+    if config.processes == 1:
+        results = map(_evaluated, asked[finished:])
+    else:
+        results = spread(_evaluated, asked[finished:], config.processes, _load, config)
+    with counting_progress(console) as bar:
+        job = bar.add_task("controllers", total=len(asked), completed=finished)
+        for new, happened in results:
             rows += new
-            for what, count in incidents(trials.values()).items():
+            for what, count in happened.items():
                 counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
             write_results(
                 config.out,
                 rows,
                 made,
-                robot.identity,
-                not_eligible=without,
+                load_robot().identity,
+                not_eligible=own.without,
                 **made_of,
                 **counted,
             )
+            bar.update(job, advance=1)
+    each = len(asked) // len(config.conditions) * len(own.names)
     for k in range(len(config.conditions)):
-        of = rows[k * len(names) * len(controllers) :][: len(names) * len(controllers)]
+        of = rows[k * each : (k + 1) * each]
         Console().print(success_table(of, scans=config.objects_dir is not None))
 
 

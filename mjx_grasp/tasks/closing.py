@@ -391,8 +391,13 @@ def _lift_force(episode: Episode, closer: CloserState) -> Float[Array, " w"]:
 
 
 def _distance(measured: Measured, targets: ThreePoints) -> Float[Array, " w"]:
-    """Of the pads from their contacts, mean [m]."""
-    return jnp.mean(norm(targets.position - measured.pad_pos), axis=-1)
+    """Of the pads from their contacts, mean, of an object that is within reach [m]."""
+    distance = norm(targets.position - measured.pad_pos)
+    return jnp.mean(jnp.minimum(distance, _OUT_OF_REACH_M), axis=-1)
+
+
+_OUT_OF_REACH_M = 1.0
+"""An object that has rolled off the table falls away for as long as the episode lasts."""
 
 
 _OFF_THE_TABLE_M = 0.01

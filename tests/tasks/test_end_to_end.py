@@ -348,6 +348,19 @@ def test_coming_nearer_pays_where_it_has_a_weight(scene, starts):
     np.testing.assert_allclose(out.rewards["way_left"][:, 0], expected, atol=1e-5)
 
 
+def test_an_object_that_falls_out_of_reach_costs_no_more_than_the_way_there(scene, starts):
+    script = still(starts, [0], 6)
+    script.truth.object_pos[:, 0, 2] -= np.array([0.5, 2.0, 5.0, 9.0, 20.0, 0.0])
+    term = RewardConfig(way_left=1.0)
+    task = make(scene, starts, script, replace(CONFIG, reward=term))
+    state, _ = begun(task, [0], 0.0)
+    _, out = play(task, state, jnp.zeros((6, 1, 15)))
+    paid = np.asarray(out.rewards["way_left"][:, 0])
+    np.testing.assert_allclose(paid[2:5], 0.0, atol=1e-6)
+    assert -1.0 < paid[:2].sum() < -0.9  # from a few centimetres to a metre
+    np.testing.assert_allclose(paid.sum(), 0.0, atol=1e-5)  # the way alone counts
+
+
 def test_jitted_batched_and_one_by_one_it_is_the_same(scene, starts):
     rows, ticks = [0, 4, 8], 3
     script = moved(starts, rows, ticks)

@@ -125,9 +125,10 @@ def summarise(
 ) -> ResultRow:
     """One row of a results file."""
     n, successes = len(trials.success), int(trials.success.sum())
-    lifted = ~np.isnan(trials.force_mean)
+    # What a broken world says of its forces may be no number.
+    lifted = np.isfinite(trials.force_mean) & np.isfinite(trials.force_peak)
     peaks = trials.force_peak[lifted]
-    held = trials.force_held[trials.success]
+    held = trials.force_held[trials.success & np.isfinite(trials.force_held)]
     squeeze, grip = config.controller == "squeeze", config.controller == "grip"
     knows_budget = config.controller == "policy" and task.observation.budget
     failures = {failure: getattr(trials, failure) for failure in FAILURES}
@@ -152,7 +153,8 @@ def summarise(
         force_peak_p50_n=float(np.median(peaks)) if lifted.any() else None,
         force_peak_p99_n=float(np.quantile(peaks, 0.99)) if lifted.any() else None,
         forces_n=tuple(
-            None if math.isnan(force) else round(force, 3) for force in trials.force_mean.tolist()
+            round(force, 3) if math.isfinite(force) else None
+            for force in trials.force_mean.tolist()
         ),
         starts=tuple(trials.row.tolist()),
         squeeze_split=config.squeeze_split if squeeze else None,

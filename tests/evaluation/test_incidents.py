@@ -1,6 +1,8 @@
 """What an evaluation says of overflowing buffers and of worlds that stop being finite."""
 
 import io
+import json
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -87,6 +89,24 @@ def test_a_row_tells_trial_by_trial_what_came_of_it():
     )
     assert row.outcomes == "SPLSH"
     assert (row.successes, row.never_lifted, row.slipped, row.not_held) == (2, 1, 1, 1)
+
+
+@pytest.mark.parametrize("field", ["force_mean", "force_peak", "force_held"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_broken_worlds_forces_spoil_no_row(tmp_path, field, bad):
+    fine = trials_of(2, [0, 0], [0, 1])._replace(
+        success=np.array([True, True]),
+        force_mean=np.array([2.0, 4.0]),
+        force_peak=np.array([3.0, 5.0]),
+        force_held=np.array([2.5, 4.5]),
+    )
+    trials = fine._replace(**{field: np.array([getattr(fine, field)[0], bad])})
+    config = EvaluateConfig(out=tmp_path / "r.json", episodes=2)
+    row = module.summarise("box", trials, config, np.zeros(9, bool), TaskConfig())
+    json.dumps(asdict(row), allow_nan=False)
+    whole = field == "force_held"  # the others say together whether a trial's force counts
+    assert row.force_mean_n == (3.0 if whole else 2.0) and row.force_peak_n == (5 if whole else 3)
+    assert row.force_held_n == (2.5 if whole else 3.5)
 
 
 @pytest.mark.parametrize(

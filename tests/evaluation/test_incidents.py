@@ -95,6 +95,7 @@ def test_a_row_tells_trial_by_trial_what_came_of_it():
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_broken_worlds_forces_spoil_no_row(tmp_path, field, bad):
     fine = trials_of(2, [0, 0], [0, 1])._replace(
+        never_lifted=np.array([False, False]),
         success=np.array([True, True]),
         force_mean=np.array([2.0, 4.0]),
         force_peak=np.array([3.0, 5.0]),

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from collect_runs import run_rows
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
@@ -224,8 +224,8 @@ def _layers(details: Sequence[dict[str, Any]]) -> Table:
 
 
 def runs(paths: Sequence[Path]) -> str:
-    """One line per training run."""
-    rows = [r for path in paths for r in json.loads(path.read_text())["rows"]]
+    """One line per training run of the closing task."""
+    rows = [r for path in paths for r in run_rows(path) if r["task"] == "closing"]
     if not rows:
         return NOTHING
     lines = tuple(

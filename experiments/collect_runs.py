@@ -21,6 +21,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 from mjx_grasp.training.config import stored_config
 
 SCHEMA = "mjx_grasp.training_runs/1"
@@ -34,6 +35,21 @@ class CollectConfig(CommandSettings):
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """folders of finished runs"""
     out: Path = Path("experiments/results/training_runs.json")
+
+
+def run_rows(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table of runs; those written before runs named their task say it too.
+
+    Raises:
+        FileError: The file cannot be read.
+    """
+    return [_with_task(row) for row in read_json(path, "a table of runs")["rows"]]
+
+
+def _with_task(row: dict[str, Any]) -> dict[str, Any]:
+    """A row that says what was learnt; without a word of it, its preset does."""
+    task = "end_to_end" if row.get("preset") == "end-to-end" else "closing"
+    return {"task": task, "curriculum": None, "assisted": None} | row
 
 
 def run_row(folder: Path) -> dict[str, Any]:
@@ -61,6 +77,7 @@ def run_row(folder: Path) -> dict[str, Any]:
     return {
         "run": folder.name,
         "preset": config.preset,
+        **_task(config.task),
         "engine": config.engine,
         "worlds": ppo.worlds,
         "unroll": ppo.unroll,
@@ -82,11 +99,19 @@ def run_row(folder: Path) -> dict[str, Any]:
     }
 
 
+def _task(config: ClosingTaskConfig) -> dict[str, Any]:
+    """What was learnt; the curriculum and whether guidance and grip helped, where there is one."""
+    if not isinstance(config, EndToEndConfig):
+        return {"task": "closing", "curriculum": None, "assisted": None}
+    kind = config.curriculum.kind
+    return {"task": "end_to_end", "curriculum": kind, "assisted": config.assisted}
+
+
 def main(config: CollectConfig) -> None:
     """Adds the runs and prints the table."""
     rows: dict[str, dict[str, Any]] = {}
     if config.out.exists():
-        rows = {r["run"]: r for r in read_json(config.out, "a table of runs")["rows"]}
+        rows = {r["run"]: r for r in run_rows(config.out)}
     rows |= {folder.name: run_row(folder) for folder in config.runs}
     document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
     write_json(config.out, document)

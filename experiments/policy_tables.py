@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from collect_runs import run_rows
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
@@ -50,8 +51,7 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
         FileError: A file cannot be read.
     """
     table = folder / "training_runs.json"
-    rows = read_json(table, "a table of runs")["rows"] if table.exists() else []
-    trained = {row["run"]: row for row in rows}
+    trained = {row["run"]: row for row in run_rows(table)} if table.exists() else {}
     found = []
     for path in (*comparisons(folder), *sorted((folder / "seeds").glob("*.json"))):
         own = [
@@ -171,11 +171,16 @@ def _setting(run: dict[str, Any]) -> str:
     return f"{run['worlds']:,} × {run['unroll']}, {run['env_steps'] / 1e6:.0f} M steps{published}"
 
 
-def _run_of(path: Path, shipped: Path) -> str:
-    """The name of the run whose policy a results file is about."""
+def named_run(path: Path) -> str | None:
+    """The name of the run whose policy the command of a results file names."""
     words = shlex.split(str(read_results(path).provenance["command"]))
-    if "--policy" in words:
-        return Path(words[words.index("--policy") + 1]).parent.name
+    return Path(words[words.index("--policy") + 1]).parent.name if "--policy" in words else None
+
+
+def _run_of(path: Path, shipped: Path) -> str:
+    """The same, the shipped policy's run where no policy is named."""
+    if (run := named_run(path)) is not None:
+        return run
     made = shlex.split(str(load_policy(shipped).meta["provenance"]["command"]))
     if "--out" not in made:
         raise FileError(shipped, "a command without --out", "the run that made the policy")

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import closing_tables
+import end_to_end_tables
 import paper_tables
 import pipeline_tables
 import policy_tables
@@ -72,6 +73,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
+            "end-to-end-runs": end_to_end_tables.trainings(folder),
+            "end-to-end": end_to_end_tables.success_from_home(folder),
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),
             "sensitivity": sensitivity_tables.sensitivity(folder / "sensitivity.json"),
             "stability": paper_tables.stability(folder / "lift_stability.json"),

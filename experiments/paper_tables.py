@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from end_to_end_tables import bar_is_met, from_home
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.evaluation import paper
@@ -292,7 +293,20 @@ def _more_time(folder: Path) -> Claim | None:
     )
 
 
+def _end_to_end(folder: Path) -> Claim | None:
+    judged = from_home(folder)
+    if not judged:
+        return None
+    return Claim(
+        "a policy that also reaches does not learn to grasp from home",
+        f"{paper.END_TO_END:g} %",
+        ", ".join(f"{column.mean()[0]:.1f} % (`{run}`)" for run, column in judged.items()),
+        not bar_is_met(judged),
+        "beside the object it learns; the farther away episodes begin, the fewer succeed",
+    )
+
+
 _CLAIMS = (
     *(_lifts_more, _fair_opponent, _slips, _sugar_box, _margin),
-    *(_holds_longer, _no_pre_grasp, _more_time),
+    *(_holds_longer, _no_pre_grasp, _more_time, _end_to_end),
 )

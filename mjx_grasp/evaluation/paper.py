@@ -40,3 +40,6 @@ POSE_ERROR = {(0.0, 0.0): 89.3, (10.0, 5.0): 80.4}
 
 WITHOUT_GRASP = 4
 """Of 28 objects those without a pre-grasp."""
+
+END_TO_END = 0.07
+"""Success of its end-to-end baseline, one policy from home to the lift [%]."""

@@ -37,6 +37,28 @@ SCHEMA = "mjx_grasp.paper/1"
 REACHED = "assets/handoffs_reached.npz"
 FOLDER = "runs/paper"
 """of what is no result: states and policies on the way, and what is done"""
+STATES = (
+    "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
+    f"--objects-dir SCANS --out {FOLDER}/handoffs.npz"
+)
+END_TO_END_RUNS = f"{FOLDER}/e2e-paper-0 {FOLDER}/e2e-paper-1 {FOLDER}/e2e-best"
+END_TO_END = "-m mjx_grasp.train --preset end-to-end --objects-dir SCANS --evaluation-episodes 0"
+AS_PUBLISHED = f"{END_TO_END} --handoffs {FOLDER}/handoffs.npz --scene.physics-dt 0.005"
+ASSISTED = (
+    f"{END_TO_END} --objects eight --handoffs {REACHED} "
+    "--scene.physics-dt 0.005 --scene.fix-idle-fingers "
+    "--ppo.worlds 4096 --ppo.unroll 32 --ppo.iterations 400 --ppo.tuning 0 "
+    "--ppo.privileged-critic --ppo.critic-rate 3e-4 --ppo.value-clip 0.5 --ppo.hidden 256 256 "
+    "--ppo.action-std 0.15 --task.assisted --task.action.residual leaky "
+    "--task.curriculum.kind measured --task.curriculum.until 0.8 "
+    "--task.reward.way-left 300 --task.reward.held 4 "
+    "--task.observation.normals --task.observation.arm --task.observation.forces "
+    "--task.grip.force 2.5 --task.grip.split balanced --task.grip.direction line "
+    "--task.grip.follow 0.05 --task.grip.settles --task.grip.friction 0.4 "
+    "--task.grip.arrival 0.005 --task.grip.approach-s 1.0 --task.grip.freezes "
+    "--task.grip.together --task.lift.delay-s 0.5"
+)
+"""the end-to-end setting that does best from home: our critic, grip and rewards, and guidance"""
 
 
 @dataclass(frozen=True)
@@ -131,13 +153,30 @@ PARTS = (
         "paper-policy",
         "a policy trained as published, for the rows of the preset `paper`",
         (
-            "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
-            f"--objects-dir SCANS --out {FOLDER}/handoffs.npz",
+            STATES,
             "-m mjx_grasp.train --preset paper --objects-dir SCANS "
             f"--handoffs {FOLDER}/handoffs.npz --evaluation-episodes 0 --out {FOLDER}/seed0",
             f"experiments/collect_runs.py {FOLDER}/seed0",
         ),
         without_gpu="its 31 M steps take days on a few cores",
+    ),
+    Part(
+        "end-to-end",
+        "the baseline: one policy from home to the lift, as published and with our settings",
+        (
+            STATES,
+            *(f"{AS_PUBLISHED} --seed {k} --out {FOLDER}/e2e-paper-{k}" for k in (0, 1)),
+            f"{ASSISTED} --out {FOLDER}/e2e-best",
+            *(
+                f"experiments/evaluate_controllers.py --objects-dir SCANS --handoffs {REACHED} "
+                f"--policy {FOLDER}/{run}/policy.npz --force-budgets 3 --squeeze-forces "
+                f"--episodes 32 --out experiments/results/end_to_end/{run}.json"
+                for run in ("e2e-paper-0", "e2e-paper-1", "e2e-best")
+            ),
+            f"experiments/collect_runs.py {END_TO_END_RUNS}",
+            f"experiments/learning_curves.py {END_TO_END_RUNS}",
+        ),
+        without_gpu="its trainings of 31 and 52 M steps take days on a few cores",
     ),
 )
 LAST = "experiments/make_readme.py"

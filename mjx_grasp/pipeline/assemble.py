@@ -74,8 +74,8 @@ def whole_grasps(
         finalists=None,
         retreat_steps=None,
         lift_error=0.03,
-        touch_error=0.022,
-        touch_weight=100.0,
+        touch_error=0.016,
+        touch_weight=200.0,
         lesser_scores=lesser,
         approach=approach,
     )

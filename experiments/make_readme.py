@@ -15,6 +15,7 @@ from pathlib import Path
 
 import closing_tables
 import end_to_end_tables
+import object_tables
 import paper_tables
 import pipeline_tables
 import policy_tables
@@ -71,6 +72,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "throughput": closing_tables.throughput(throughput),
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
+            "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),

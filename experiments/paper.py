@@ -116,6 +116,18 @@ PARTS = (
         ),
     ),
     Part(
+        "objects",
+        "success on all objects that have start states, held-out ones too",
+        (
+            "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 24 "
+            "--seed 11 --objects-dir SCANS --out runs/paper/reached_all.npz",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
+            "--handoffs runs/paper/reached_all.npz --states all --force-budgets 3 6 "
+            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 32 --worlds 32 "
+            "--out experiments/results/objects/reached.json",
+        ),
+    ),
+    Part(
         "pose-error",
         "success over errors of the object's pose at the handoff",
         (

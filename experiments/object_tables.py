@@ -1,0 +1,107 @@
+"""Success on every object that has start states, those of training and those kept out of it.
+
+The results file is that of `evaluate_controllers.py` from reached states of all objects.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from stage_tables import NOTHING, markdown
+
+from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.results import ResultRow, read_results
+from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.records.table import Table
+
+_PARTS = {
+    "train": "training",
+    "held_out": "held out",
+    "scaled": "scaled copy",
+    "figure_only": "for figures",
+}
+_MEANS = ("train", "held_out")
+
+
+class Controller(NamedTuple):
+    """What tells controllers of a file apart."""
+
+    family: str
+    force: float | None
+    """budget of a policy, or what a squeeze commands [N]"""
+
+    @property
+    def name(self) -> str:
+        """In a table's header."""
+        if self.force is None:
+            return self.family
+        what = "policy, budget" if self.family == "policy" else self.family
+        return f"{what} {self.force:g} N"
+
+
+def _of(row: ResultRow) -> Controller:
+    forces = {"policy": row.force_budget_n, "squeeze": row.squeeze_force_n}
+    return Controller(row.controller, forces.get(row.controller))
+
+
+def objects(path: Path) -> str:
+    """One line per object, one column per controller; then the means of both parts.
+
+    Args:
+        path: The results file.
+
+    Raises:
+        FileError: It cannot be read.
+    """
+    if not path.exists():
+        return NOTHING
+    results, catalogue = read_results(path), load_catalogue()
+    columns: dict[Controller, dict[str, ResultRow]] = {}
+    for row in results.rows:
+        columns.setdefault(_of(row), {})[row.object] = row
+    names = sorted(
+        dict.fromkeys(row.object for row in results.rows),
+        key=lambda name: list(_PARTS).index(catalogue[name].split),
+    )
+    lines = []
+    for name in names:
+        mass = f"{catalogue[name].mass:.2f}"
+        cells = (_cell(of.get(name)) for of in columns.values())
+        lines.append((name.replace("_", " "), _PARTS[catalogue[name].split], mass, *cells, ""))
+    means = [line for part in _MEANS if (line := _mean(part, names, columns)) is not None]
+    header = (
+        *("object", "part", "mass kg", *(column.name for column in columns)),
+        "paper: policy / squeeze",
+    )
+    table = Table("Objects", header, (*lines, *means), summary=len(means), names=2)
+    without = ", ".join(n.replace("_", " ") for n in results.extra.get("not_eligible", ()))
+    return markdown(table) + (f"\n\nWithout start states: {without}." if without else "")
+
+
+def _cell(row: ResultRow | None) -> str:
+    if row is None:
+        return ""
+    force = "" if row.force_mean_n is None else f", {row.force_mean_n:.1f} N"
+    low, high = row.ci95
+    return f"{100 * row.successes / row.episodes:.0f} ({low:.0f}–{high:.0f}){force}"
+
+
+def _mean(
+    part: str, names: list[str], columns: dict[Controller, dict[str, ResultRow]]
+) -> tuple[str, ...] | None:
+    """Means over the objects of a part, each of which counts the same."""
+    catalogue = load_catalogue()
+    own = [name for name in names if catalogue[name].split == part]
+    if not own:
+        return None
+    cells = []
+    for of in columns.values():
+        rows = [of[name] for name in own if name in of]
+        success = np.mean([100 * row.successes / row.episodes for row in rows]) if rows else np.nan
+        forces = [row.force_mean_n for row in rows if row.force_mean_n is not None]
+        cells.append(f"{success:.1f}" + (f", {np.mean(forces):.1f} N" if forces else ""))
+    policy, squeeze = paper.ALL_ELIGIBLE
+    published = f"{policy:g} / {squeeze:g}" if part == "train" else ""
+    return f"mean of {len(own)}", _PARTS[part], "", *cells, published

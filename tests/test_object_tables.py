@@ -1,0 +1,55 @@
+"""The table of all objects: parts, means that weigh objects alike, what has no start states."""
+
+import importlib
+import json
+from pathlib import Path
+
+import pytest
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+SHIPPED = EXPERIMENTS / "results" / "eight_reached.json"
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    return importlib.import_module("object_tables")
+
+
+@pytest.fixture
+def results(tmp_path):
+    """Rows of a policy and a squeeze on two training objects and one that is held out."""
+    content = json.loads(SHIPPED.read_text())
+    rows = {row["controller"]: row for row in content["rows"]}
+    plan = [("chips_can", 5, 3.0), ("mug", 10, 2.0), ("pear", 0, None)]
+    content["rows"] = [
+        rows[kind]
+        | {
+            "object": name, "episodes": 10, "successes": good, "never_lifted": 10 - good,
+            "not_held": 0, "slipped": 0, "outcomes": "", "forces_n": [], "starts": [],
+            "force_mean_n": force, "ci95": [0.0, 100.0],
+        }
+        for kind in ("policy", "squeeze")
+        for name, good, force in plan
+    ]  # fmt: skip
+    content["not_eligible"] = ["bowl"]
+    path = tmp_path / "reached.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_objects_of_training_come_first_and_each_part_has_its_mean(tables, results):
+    lines = [[c.strip(" *") for c in line.split("|")[1:-1]] for line in
+             tables.objects(results).splitlines() if line.startswith("|")]  # fmt: skip
+    assert [line[0] for line in lines[2:]] == ["mug", "pear", "chips can", "mean of 2", "mean of 1"]
+    assert [line[1] for line in lines[2:5]] == ["training", "training", "held out"]
+    mug, pear, can, training, held_out = lines[2:]
+    assert mug[3] == "100 (0–100), 2.0 N" and pear[3] == "0 (0–100)"
+    assert training[3] == "50.0, 2.0 N" and held_out[3] == can[3].replace("50 (0–100)", "50.0")
+    assert training[-1] == "40.3 / 29.8" and held_out[-1] == ""
+    assert lines[0][3].startswith("policy, budget") and lines[0][4].startswith("squeeze")
+
+
+def test_objects_without_start_states_are_named(tables, results, tmp_path):
+    assert tables.objects(results).endswith("Without start states: bowl.")
+    assert tables.objects(tmp_path / "none.json") == "_No results file yet._"

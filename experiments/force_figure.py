@@ -1,9 +1,9 @@
-"""Draws success against the contact force that it took: trained policies and the squeeze.
+"""Draws success against the contact force that it took: the shipped policy, grip and squeeze.
 
   python experiments/force_figure.py
 
 reads the evaluations of the eight objects in native MuJoCo and draws `docs/success_force.png`, one
-panel per condition.
+panel per condition. Other trained policies are in the tables.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from policy_tables import comparisons, evaluated_policies
+from policy_tables import comparisons
 
-from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.tables import Column, read_groups
@@ -37,27 +36,19 @@ class FigureConfig(CommandSettings):
 
 
 def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
-    """The controllers of every condition; policies are named by how they were trained.
+    """The controllers of every condition.
 
     Raises:
         FileError: There is no evaluation in that engine.
     """
     found = {
-        condition: [column for column in columns if column.family in ("squeeze", "grip")]
+        condition.short(): list(columns)
         for condition, columns in read_groups(comparisons(folder)).items()
         if condition.engine == engine
     }
     if not found:
         raise FileError(folder, f"no eight_*.json of {engine}", "evaluations of the eight objects")
-    for policy in evaluated_policies(folder, asset_path("policy.npz")):
-        if policy.condition in found:
-            name = f"policy, {policy.setting}"
-            found[policy.condition].append(
-                policy.column._replace(
-                    label=policy.column.label.replace("policy", name, 1), family=name
-                )
-            )
-    return {c.short(): columns for c, columns in found.items()}
+    return found
 
 
 def main(config: FigureConfig) -> None:

@@ -55,7 +55,10 @@ def main(config: FigureConfig) -> None:
     axes[1, 0].set_ylim(0, None)
     axes[0, 0].set_ylabel("lifted and held [%]", fontsize=9, color=GREY)
     axes[1, 0].set_ylabel("force per finger [N]", fontsize=9, color=GREY)
-    axes[0, 0].legend(frameon=False, fontsize=8, loc="lower right", labelcolor=GREY)
+    axes[0, 0].legend(  # on white: the nominal value's line passes behind it
+        facecolor="white", framealpha=1, edgecolor="none", fontsize=8, loc="lower right",
+        labelcolor=GREY,
+    )  # fmt: skip
     with replacing(config.out) as temporary:
         temporary.write_bytes(png(figure))
 

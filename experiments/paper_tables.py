@@ -1,6 +1,6 @@
-"""The grid of pose errors as a table and a picture, beside the published figures.
+"""The publication's claims, errors of the pose and long holds as tables, beside its figures.
 
-python experiments/pose_error_tables.py
+`make_readme.py` puts them in place.
 """
 
 from __future__ import annotations

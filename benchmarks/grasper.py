@@ -1,6 +1,6 @@
 """How long one control tick of the `Grasper`, and one search for plans, take in one world.
 
-Whole grasps from home in native MuJoCo, one after the other, in one thread. A tick is timed from
+Whole grasps from home in native MuJoCo, one after the other, on one core. A tick is timed from
 what is measured to the joint targets, physics apart, by the phase that it is in; compilation apart.
 
   python benchmarks/grasper.py --objects-dir SCANS --out FILE.json
@@ -8,6 +8,7 @@ what is measured to the joint targets, physics apart, by the phase that it is in
 
 from __future__ import annotations
 
+import os
 import time
 from collections import defaultdict
 from dataclasses import dataclass
@@ -59,6 +60,7 @@ class GrasperBenchmarkConfig(ObjectsConfig):
 def main(config: GrasperBenchmarkConfig) -> None:
     """Grasps, times, writes."""
     check_writable("--out", config.out)
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX makes its threads
     made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
     grasper = loaded_grasper(robot, config.policy)
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))

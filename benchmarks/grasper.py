@@ -1,7 +1,8 @@
 """How long one control tick of the `Grasper`, and one search for plans, take in one world.
 
 Whole grasps from home in native MuJoCo, one after the other, on one core. A tick is timed from
-what is measured to the joint targets, physics apart, by the phase that it is in; compilation apart.
+what is measured, in NumPy's arrays as a driver supplies them, to the joint targets, by the phase
+that it is in; physics and compilation apart.
 
   python benchmarks/grasper.py --objects-dir SCANS --out FILE.json
 """
@@ -60,7 +61,8 @@ class GrasperBenchmarkConfig(ObjectsConfig):
 def main(config: GrasperBenchmarkConfig) -> None:
     """Grasps, times, writes."""
     check_writable("--out", config.out)
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX makes its threads
+    if hasattr(os, "sched_setaffinity"):  # not on macOS
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX makes its threads
     made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
     grasper = loaded_grasper(robot, config.policy)
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
@@ -90,7 +92,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
             measured, truth = at_rest(physics.scene, qpos, physics.substeps)
             world = physics.init(jnp.asarray(qpos), jnp.asarray(home[order])[None])
             params = make_params(jnp.array([k]), physics.scene.config.friction[0])
-            now, seen = one(measured), seen_of(truth)
+            now, seen = jax.device_get((one(measured), seen_of(truth)))
             key = jax.random.key(w)
             ways = timed(plans, plan, known[k], seen, now.q, key)
             state = start(now, known[k], seen, ways)
@@ -98,7 +100,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
                 phase = Phase(int(state.phase))
                 state, done = timed(ticks[phase], tick, state, now, known[k], seen)
                 world, measured, truth = step(world, params, done.target[None, order])
-                now, seen = one(measured), seen_of(truth)
+                now, seen = jax.device_get((one(measured), seen_of(truth)))
                 if bool(done.plans_due):
                     found = timed(plans, plan, known[k], seen, now.q, key, state.avoid)
                     state = adopt(state, found)

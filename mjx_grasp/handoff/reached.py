@@ -131,7 +131,7 @@ class ReachedGenerator:
         rows: list[Row] = []
         if report.eligible_candidates:
             checker = CollisionChecker(build_scene([obj], self._robot))
-            task = _Task(obj, StillObject(known.shape, known.candidates), checker)
+            task = _Task(obj, StillObject(known.shape, known.candidates, known.com), checker)
             for _ in range(config.max_rounds):
                 missing = config.per_object - len(rows)
                 rows += self._round(task, report, rng, key, missing)[:missing]

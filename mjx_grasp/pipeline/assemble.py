@@ -44,7 +44,7 @@ def whole_grasps(
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
-    last: the farther short, the later.
+    last: the farther short, the later. So do contacts near an edge and those that need much force.
 
     Args:
         preset: What it is made from.
@@ -76,6 +76,9 @@ def whole_grasps(
         lift_error=0.03,
         touch_error=0.016,
         touch_weight=200.0,
+        hold_weight=8.0,
+        edge_weight=800.0,
+        lesser_cost=20.0,
         lesser_scores=lesser,
         approach=approach,
     )

@@ -37,14 +37,20 @@ class Surroundings(NamedTuple):
     """spheres to avoid, none is ``k = 0``: centre in world and radius [m]"""
     obstacle_velocity: Float[Array, "k 3"]
     """of their centres [m/s]"""
+    com: Float[Array, " 3"] | None = None
+    """the object's centre of mass, in its own frame; its origin if None [m]"""
 
     @classmethod
     def still(
-        cls, shape: Shape, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"]
+        cls,
+        shape: Shape,
+        p_wo: Float[Array, " 3"],
+        R_wo: Float[Array, "3 3"],
+        com: Float[Array, " 3"] | None = None,
     ) -> Surroundings:
         """An object at rest and nothing else."""
         none = jnp.zeros((0, 4)), jnp.zeros((0, 3))
-        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none)
+        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none, com)
 
     def after(self, dt: float) -> Surroundings:
         """The world that much later, if everything moves on as it does, [s]."""

@@ -16,17 +16,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import full_precision
+from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import TargetOptions, admissible, standoffs, target_options
+from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.lift import scripted_lift
-from mjx_grasp.posture.surroundings import Surroundings, stacked
+from mjx_grasp.posture.surroundings import Surroundings, stacked, to_object
 from mjx_grasp.posture.touch import touch_errors
 from mjx_grasp.reaching.approach import Approach, approaching, deviation
 from mjx_grasp.reaching.controller import Plans, Reacher
@@ -43,6 +45,8 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.sim.scene import ObjectArea
 
+# Points of a circle around a contact.
+_CIRCLE = 12
 # Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
 _LACKING, _FAILED = 1e3, 1e4
 
@@ -70,6 +74,18 @@ class PlanConfig(Settings):
     """the same of the finger that stays farthest from its contact when it closes [m]"""
     touch_weight: NonNegative = 0.0
     """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
+    hold_weight: NonNegative = 0.0
+    """time that a force of once the object's weight counts as, where its contacts ask for so much
+    more to hold it than two upright walls would; by default that is not looked at [s]"""
+    hold_friction: Positive = 0.4
+    """of the contacts in that force [-]"""
+    hold_most: Positive = 5.0
+    """contacts that ask for more force, or cannot hold the object, count as this much [-]"""
+    edge_weight: NonNegative = 0.0
+    """time that it counts as where the surface falls away near a contact, by the largest distance
+    to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""
+    edge_radius: Positive = 0.010
+    """of that circle: about half the width of a fingertip [m]"""
     lesser_scores: tuple[NonNegative, ...] = ()
     """where no good posture is found for candidates of the selection's least score: the least
     scores with which they are looked for then, one after the other [-]"""
@@ -114,6 +130,18 @@ class Search(NamedTuple):
     something [m]"""
     at_limit: Bool[Array, ""]
     """whether the best attempt has a joint at its limit"""
+
+
+def circles(
+    centre: Float[Array, "*n 3"], normal: Float[Array, "*n 3"], radius: float
+) -> Float[Array, "*n points 3"]:
+    """Points around centres, evenly on circles across unit normals, [m]."""
+    least = jnp.eye(3)[jnp.argmin(jnp.abs(normal), axis=-1)]
+    across = unit(jnp.cross(normal, least))
+    other = jnp.cross(normal, across)
+    angle = jnp.linspace(0.0, 2 * jnp.pi, _CIRCLE, endpoint=False)[:, None]
+    ways = jnp.cos(angle) * across[..., None, :] + jnp.sin(angle) * other[..., None, :]
+    return centre[..., None, :] + radius * ways
 
 
 def start_library(body: Body, config: PlanConfig) -> Library:
@@ -230,7 +258,9 @@ class Planner:
             option, start = option[best], begun.q[best]
         found = attempts(option, start, plan.ik.iterations)
         position = around.p_wo + ways.targets.position[option] @ around.R_wo.T
-        cost = self._costs(allowed[option], found, q) + self._shortfall(found.q, position)
+        normal = ways.targets.normal[option] @ around.R_wo.T
+        cost = self._costs(allowed[option], found, q)
+        cost = cost + self._shortfall(found.q, position) + self._slip(position, normal, around)
 
         def guide(k: Int[Array, ""]) -> Guide:
             wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)
@@ -348,6 +378,28 @@ class Planner:
             lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
             late = plan.touch_weight * touch
         return _LACKING * lacking + late
+
+    def _slip(
+        self,
+        contacts: Float[Array, "n 3 3"],
+        normals: Float[Array, "n 3 3"],
+        around: Surroundings,
+    ) -> Float[Array, " n"]:
+        """What contacts lack that the object is likely to slip out of [s]."""
+        plan, lacking = self.config, jnp.zeros(len(contacts))
+        if plan.hold_weight > 0:
+            com = jnp.zeros(3) if around.com is None else around.com
+            load = Load(jnp.array([0.0, 0.0, -1.0]), around.p_wo + around.R_wo @ com)
+            contact = ContactConfig(friction=plan.hold_friction)
+            force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
+            # The thumb bears half the weight, and of walls that stand upright by friction alone.
+            excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
+            lacking = lacking + plan.hold_weight * jnp.maximum(excess, 0.0)
+        if plan.edge_weight > 0:
+            circle = circles(contacts, normals, plan.edge_radius)
+            falls = signed_distance(around.shape, to_object(around, circle))
+            lacking = lacking + plan.edge_weight * jnp.max(falls, axis=(1, 2), initial=0.0)
+        return lacking
 
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
         """The cheapest attempts of which no two put the palm in the same place."""

@@ -37,6 +37,8 @@ class StillObject(NamedTuple):
     """what to keep away from"""
     candidates: Candidates
     """where it may be grasped"""
+    com: Float[Array, " 3"] | None = None
+    """centre of mass; the object's origin if None [m]"""
 
 
 class Placed(NamedTuple):
@@ -159,7 +161,7 @@ def _search(
 
     def one(place: tuple[Array, Array, Array]) -> Plans:
         p_wo, R_wo, key = place
-        around = Surroundings.still(what.shape, p_wo, R_wo)
+        around = Surroundings.still(what.shape, p_wo, R_wo, what.com)
         return planner.search(library, what.candidates, around, home, key).plans
 
     return jax.lax.map(one, (p_wo, R_wo, keys), batch_size=_AT_ONCE)

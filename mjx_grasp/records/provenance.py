@@ -111,7 +111,8 @@ def device_name(device: Any) -> str:
             if line.startswith("model name"):
                 model = line.split(":", 1)[1].strip()
                 break
-    return f"CPU, {usable_cores()} cores ({model})"
+    cores = usable_cores()
+    return f"CPU, {cores} core{'s' if cores > 1 else ''} ({model})"
 
 
 def usable_cores() -> int:

@@ -1,6 +1,7 @@
 """Plans: inverse kinematics from a library of starts, and the guides made of them."""
 
 from dataclasses import replace
+from functools import partial
 
 import handmade
 import jax
@@ -188,3 +189,56 @@ def test_what_is_in_the_way_and_a_detour_cost_time(planned):
     limit = jnp.asarray(reacher.body.velocity_limit)
     far = guide._replace(q=guide.q.at[1].add(0.5 * limit * jnp.sign(guide.q[1] - home)))
     assert cost(far, home, away) > cost(guide, home, away) + 0.4
+
+
+def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(planned):
+    """On an upright cylinder, its three contacts at heights below the upper rim."""
+    reacher, plan, _, _, _ = planned
+    radius, half, friction = 0.03, 0.05, 0.4
+    shape = Cylinder(jnp.float32(radius), jnp.float32(half))
+    out = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
+    spread = jnp.array([[0.0, 0, 0], [0, 0.01, 0], [0, -0.01, 0]])
+    turn = so3.exp(jnp.array([0.0, 0.0, 0.7]))
+    place = jnp.array([0.4, 0.1, half])
+
+    def cost(below_rim, com=(0.0, 0.0, 0.0), at=radius * out, **weights):
+        planner = Planner(reacher, replace(plan, hold_friction=friction, **weights))
+        around = Surroundings.still(shape, place, turn, jnp.array(com))
+        local = at.at[:, 2].add(half - below_rim)
+        contacts = place + local @ turn.T
+        return float(planner._slip(contacts[None], (out @ turn.T)[None], around)[0])
+
+    assert cost(0.002) == 0.0
+    # The circle's highest point is beyond the rim by what the contact is too near to it.
+    near, far = (cost(below, edge_weight=1.0, edge_radius=0.01) for below in (0.002, 0.03))
+    around_wall = np.hypot(radius, 0.01) - radius
+    assert near == pytest.approx(0.008, abs=1e-4) and far == pytest.approx(around_wall, abs=1e-4)
+    # Upright walls beside the centre of mass ask for what they are compared with.
+    cost = partial(cost, at=radius * out + spread)
+    level = cost(half, hold_weight=1.0)
+    assert level == pytest.approx(0.0, abs=0.03)
+    lower = cost(half, (0.0, 0.02, 0.0), hold_weight=1.0)
+    assert lower > level + 0.05
+    assert cost(half, (0.0, 0.02, 0.0), hold_weight=3.0) == pytest.approx(3 * lower, rel=1e-3)
+
+
+def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
+    """By friction alone: the nearer the contacts are to the centre of mass, the less force."""
+    reacher, plan, poses, _, _ = planned
+    library = start_library(reacher.body, plan)
+    planner = Planner(reacher, replace(plan, hold_weight=30.0))
+    home, key = jnp.asarray(reacher.body.home), jax.random.key(0)
+
+    @jax.jit
+    def contacts(around):
+        candidates = candidates_of(reacher, around.shape)
+        plans = planner.search(library, candidates, around, home, key).plans
+        pick = plans.candidate[0]
+        return 0.5 * (candidates.thumb[pick] + candidates.centre[pick])
+
+    ends = [jnp.array([0.0, 0.0, side * 0.05]) for side in (-1.0, 1.0)]
+    shift = []
+    for k in range(COUNT):
+        low, high = (contacts(_world(poses, k)._replace(com=com))[2] for com in ends)
+        shift.append(float(high - low))
+    assert np.median(shift) > 0.01 and min(shift) >= -1e-3

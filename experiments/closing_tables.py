@@ -269,7 +269,7 @@ def shipped_policy(path: Path) -> str:
 def shipped_handoffs(folder: Path) -> str:
     """What the shipped sets of start states hold, and every command that made them."""
     parts = []
-    for name in ("scans", "standins", "reached"):
+    for name in ("reached", "standins"):
         d = read(folder / f"handoffs_{name}.json")
         if d is None:
             continue
@@ -289,7 +289,11 @@ def shipped_handoffs(folder: Path) -> str:
         ]
     if (d := read(folder / "handoffs_reached.json")) is not None:
         told = ("name", "kind", "tip_error_mm")
-        reports = [ObjectReport(**{field: row[field] for field in told}) for row in d["objects"]]
+        reports = [
+            ObjectReport(**{field: row[field] for field in told})
+            for row in d["objects"]
+            if row["name"] in paper.OBJECTS
+        ]
         table = tip_error_table(reports)
         parts += [f"{table.title}:", markdown(table)]
     return "\n\n".join(parts) if parts else NOTHING

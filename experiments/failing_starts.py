@@ -1,11 +1,12 @@
 """Why some start states always fail: what their posture and contacts say beforehand.
 
 Of trials from the training states (`evaluate_controllers.py --states training`), those that fail
-with every controller are told apart by three things that are known before anything moves:
+with every controller are told apart by what is known before anything moves:
 
 - lift: how far the palm ends from where a lift straight up should bring it (limits of the arm)
 - reach: how far a finger's pad stays from its contact, the palm at rest (joint limits of a finger)
 - force: the least force, in units of the weight, with which the contacts hold the object
+- edge: how far the surface falls away within half a fingertip's width of a contact
 
 each with the area under its ROC curve: the chance that a failing state has more of it than another.
 The same is said of the evaluation states, from which nothing was chosen. The picture shows the
@@ -34,14 +35,17 @@ from scipy.stats import rankdata
 from small_png import write_png
 
 from mjx_grasp.cli import run_command
+from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.handoff.config import PostureConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.reaching.planning import PlanConfig, circles
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive
@@ -51,7 +55,7 @@ from mjx_grasp.tasks.assemble import build_scene_of
 
 SCHEMA = "mjx_grasp.failing_starts/1"
 GRAVITY = 9.81
-FEATURES = ("lift", "reach", "force", "score")
+FEATURES = ("lift", "reach", "force", "edge", "score")
 
 
 @dataclass(frozen=True)
@@ -133,10 +137,19 @@ def features_of(
         return holding_force(position, -normal, Load(np.float32([0, 0, -1]), com), contact)
 
     forces = jax.jit(jax.vmap(force))(states.target_pos, states.target_normal, np.float32(point))
+    edges = np.zeros(len(states))
+    circle = np.asarray(circles(states.target_pos, states.target_normal, PlanConfig().edge_radius))
+    for k, obj in enumerate(scene.objects):
+        own = states.object_index == k
+        around = circle[own].reshape(own.sum(), -1, 3) - states.object_pos[own][:, None]
+        local = np.einsum("nji,npj->npi", turns[own], around)
+        field = collision_field(obj)
+        edges[own] = np.max(signed_distance(field, jnp.asarray(local, jnp.float32)), axis=1)
     return {
         "lift": np.asarray(lift),
         "reach": np.asarray(touch(states.q, states.target_pos)),
         "force": np.asarray(forces),
+        "edge": edges,
         "score": -states.score,
     }
 
@@ -191,6 +204,7 @@ def reasons_of(
             "lift_error_mm": 1e3 * float(features["lift"][n]),
             "reach_error_mm": 1e3 * float(features["reach"][n]),
             "force_per_weight": float(features["force"][n]),
+            "edge_mm": 1e3 * float(features["edge"][n]),
             "score": float(states.score[n]),
         }
         for n in np.flatnonzero(fails)

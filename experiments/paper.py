@@ -28,7 +28,7 @@ from rich.table import Table
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.records.atomic import read_json, write_json
-from mjx_grasp.records.provenance import git_revision
+from mjx_grasp.records.provenance import git_revision, usable_cores
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.tasks.assemble import has_gpu
 
@@ -68,7 +68,8 @@ class Part:
     name: str
     shows: str
     commands: tuple[str, ...]
-    """relative to the repository; `SCANS` stands for the folder of scans"""
+    """relative to the repository; `SCANS` stands for the folder of scans, `CORES` for the number of
+    cores"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
 
@@ -102,16 +103,24 @@ PARTS = (
         "tip errors at handoffs that the reaching controller comes to",
         (
             "-m mjx_grasp.handoffs --kind reached --objects eight --objects-dir SCANS "
-            "--out experiments/results/handoffs_reached.npz",
+            "--per-object 256 --out experiments/results/handoffs_reached.npz",
         ),
     ),
     Part(
         "eight",
         "success, forces and failure classes on the eight objects, policy and squeeze",
         (
-            f"experiments/evaluate_controllers.py --objects-dir SCANS --handoffs {REACHED} "
-            "--force-budgets 1.5 3 6 --squeeze-forces 3 4 5 7 10 --grip-frictions 0.4 "
-            "--episodes 32 --out experiments/results/eight_reached.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
+            "--force-budgets 1.5 3 6 --squeeze-forces 1 2 3 4 5 6 7 8 10 12 "
+            "--squeeze-splits even balanced --grip-frictions 0.4 0.5 --episodes 128 "
+            "--processes CORES --out experiments/results/eight_native.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
+            "offset20 friction04 friction11 light heavy --force-budgets 3 6 "
+            "--squeeze-forces 3 5 8 12 --grip-frictions 0.4 "
+            "--processes CORES --out experiments/results/eight_conditions.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
+            "--noisy-torque --force-budgets 3 6 --squeeze-forces 3 5 8 12 --grip-frictions 0.4 "
+            "--processes CORES --out experiments/results/eight_noisy.json",
             "experiments/force_figure.py",
         ),
     ),
@@ -120,18 +129,18 @@ PARTS = (
         "success on all objects that have start states, held-out ones too",
         (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 24 "
-            "--seed 11 --objects-dir SCANS --out runs/paper/reached_all.npz",
+            f"--seed 11 --objects-dir SCANS --out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
-            "--handoffs runs/paper/reached_all.npz --states all --force-budgets 3 6 "
-            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 32 --worlds 32 "
-            "--out experiments/results/objects/reached.json",
+            f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 "
+            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 48 --worlds 48 "
+            "--processes CORES --out experiments/results/objects/reached.json",
         ),
     ),
     Part(
         "pose-error",
         "success over errors of the object's pose at the handoff",
         (
-            f"experiments/pose_error.py --objects-dir SCANS --handoffs {REACHED}",
+            "experiments/pose_error.py --objects-dir SCANS",
             "experiments/pose_error_figure.py",
         ),
     ),
@@ -139,14 +148,14 @@ PARTS = (
         "sensitivity",
         "success where friction, mass, finger stiffness or torque limits are not as modelled",
         (
-            f"experiments/sensitivity.py --objects-dir SCANS --handoffs {REACHED}",
+            "experiments/sensitivity.py --objects-dir SCANS",
             "experiments/sensitivity_figure.py",
         ),
     ),
     Part(
         "stability",
         "rise, forces and the wrench that is left while an object is held",
-        (f"experiments/lift_stability.py --objects-dir SCANS --handoffs {REACHED}",),
+        ("experiments/lift_stability.py --objects-dir SCANS",),
     ),
     Part(
         "scenarios",
@@ -180,7 +189,7 @@ PARTS = (
             *(f"{AS_PUBLISHED} --seed {k} --out {FOLDER}/e2e-paper-{k}" for k in (0, 1)),
             f"{ASSISTED} --out {FOLDER}/e2e-best",
             *(
-                f"experiments/evaluate_controllers.py --objects-dir SCANS --handoffs {REACHED} "
+                "experiments/evaluate_controllers.py --objects-dir SCANS "
                 f"--policy {FOLDER}/{run}/policy.npz --force-budgets 3 --squeeze-forces "
                 f"--episodes 32 --out experiments/results/end_to_end/{run}.json"
                 for run in ("e2e-paper-0", "e2e-paper-1", "e2e-best")
@@ -287,7 +296,8 @@ def _run(command: str, scans: Path, console: Console) -> None:
         MjxGraspError: It failed.
     """
     there = os.path.relpath(scans, ROOT)  # results keep the command
-    words = [there if word == "SCANS" else word for word in shlex.split(command)]
+    given = {"SCANS": there, "CORES": str(usable_cores())}
+    words = [given.get(word, word) for word in shlex.split(command)]
     console.print(f"[dim]python {command}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
     code = subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode

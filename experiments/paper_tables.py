@@ -21,6 +21,8 @@ from mjx_grasp.records.table import Table
 
 _FORCE_N = 3.0
 """Of the published squeeze."""
+_OFFSET_MM = 5.0
+"""Of the trials that stand for the published ones."""
 _SQUEEZE = f"squeeze {_FORCE_N:g} N"
 _LONG_S = 8.0
 """How long the publication shows a hold."""
@@ -128,13 +130,14 @@ def claims(folder: Path) -> str:
 
 
 def _eight(folder: Path, controller: str, force: float) -> list[ResultRow] | None:
-    """A controller's rows from reached states: the policy with a budget, or a squeeze [N]."""
-    path = folder / "eight_reached.json"
+    """A controller's rows at ±5 mm: the policy with a budget, or a squeeze [N]."""
+    path = folder / "eight_native.json"
     if not path.exists():
         return None
     name = "force_budget_n" if controller == "policy" else "squeeze_force_n"
     rows = read_results(path).rows
     of = [r for r in rows if r.controller == controller and getattr(r, name) == force]
+    of = [r for r in of if r.offset_mm == _OFFSET_MM and r.squeeze_split in (None, "even")]
     return of or None
 
 

@@ -95,12 +95,16 @@ def squeeze_at(force: float, squeezes: Sequence[Column]) -> str:
 
 
 def policies(folder: Path, shipped: Path) -> str:
-    """One line per policy and condition, beside the squeeze of the same contact force."""
+    """One line per policy and condition, beside the squeeze of the same contact force.
+
+    The squeeze is that from the same start states, where there is one.
+    """
     squeezes = squeezes_by_condition(folder)
     lines = []
     for run, setting, seed, condition, column in evaluated_policies(folder, shipped):
         force, _ = column.forces()
         mean, (low, high) = column.mean()
+        paired = [s for s in squeezes.get(condition, ()) if s.draws == column.draws]
         lines.append(
             (
                 run,
@@ -110,7 +114,7 @@ def policies(folder: Path, shipped: Path) -> str:
                 str(sum(r.episodes for r in column.rows.values())),
                 f"{mean:.1f} ({low:.0f}–{high:.0f})",
                 "" if force is None else f"{force:.1f}",
-                "" if force is None else squeeze_at(force, squeezes.get(condition, ())),
+                "" if force is None else squeeze_at(force, paired),
             )
         )
     header = (

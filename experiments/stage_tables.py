@@ -146,12 +146,12 @@ def failing_starts(path: Path) -> str:
             (
                 part["part"],
                 f"{part['failing']} of {part['states']}",
-                *(f"{part['auc'][name]:.2f}" for name in ("lift", "reach", "force", "score")),
+                *(f"{part['auc'][name]:.2f}" for name in part["auc"]),
                 *(f"{left[k]['failing']} of {left[k]['states']}" for k in left),
             )
         )
-    header = ("states", "always fail", "lift", "reach", "force", "low score")
-    header = (*header, "left without lift", "and without reach")
+    told = [{"score": "low score"}.get(name, name) for name in d["parts"][0]["auc"]]
+    header = ("states", "always fail", *told, "left without lift", "and without reach")
     reasons: dict[str, int] = {}
     for row in d["rows"]:
         reasons[row["reason"]] = reasons.get(row["reason"], 0) + 1

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
-SHIPPED = EXPERIMENTS / "results" / "eight_reached.json"
+SHIPPED = EXPERIMENTS / "results" / "eight_native.json"
 
 
 @pytest.fixture

@@ -159,7 +159,9 @@ def test_the_stages_before_closing_have_their_tables(root):
     (results / "make_train_cpu.json").write_text(json.dumps(made))
     sets = {"provenance": PROVENANCE, "earlier": [PROVENANCE | {"command": "the first of two"}]}
     sets |= {"objects": [{"eligible": True, "kept": 1234}, {"eligible": False, "kept": 0}]}
-    (results / "handoffs_scans.json").write_text(json.dumps(sets | {"not_eligible": ["golf_ball"]}))
+    (results / "handoffs_standins.json").write_text(
+        json.dumps(sets | {"not_eligible": ["golf_ball"]})
+    )
     run(root)
     detail = (root / "experiments" / "README.md").read_text()
     for text in (
@@ -207,19 +209,22 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
         replace(result("apple", n, 5.0), controller="squeeze", squeeze_force_n=c, force_mean_n=f)
         for n, c, f in ((16, 1.0, 1.0), (48, 3.0, 2.0))
     ]
-    write_results(
-        results / "eight_native.json", squeezes, PROVENANCE | {"command": ALONE}, FIRST_ROBOT
-    )
+    drawn = {"settings": {"states": "evaluation", "objects": ["apple"]}}
+    alone = PROVENANCE | {"command": ALONE}
+    starts = drawn | {"sha256": {"handoffs": "ab"}}
+    write_results(results / "eight_native.json", squeezes, alone, FIRST_ROBOT, **starts)
     made = PROVENANCE | {"command": f"{ALONE} --policy runs/many/policy.npz"}
     (results / "seeds").mkdir()
-    for name, force in (("soft", 1.5), ("hard", 3.0)):
+    for name, force, states in (("soft", 1.5, "ab"), ("hard", 3.0, "ab"), ("else", 1.4, "cd")):
         policy = replace(result("apple", 32, 5.0), force_mean_n=force)
-        write_results(results / "seeds" / f"{name}.json", [policy], made, FIRST_ROBOT)
+        starts = drawn | {"sha256": {"handoffs": states}}
+        write_results(results / "seeds" / f"{name}.json", [policy], made, FIRST_ROBOT, **starts)
     (results / "five.json").unlink()
     run_name = "| many | 8,192 × 16, 31 M steps | 3 | native MuJoCo, ±5 mm, friction 0.8 | 64 |"
     make_readme.main(make_readme.ReadmeConfig(root=root))
     detail = (root / "experiments" / "README.md").read_text()
     assert f"{run_name} 50.0 (38–62) | 1.5 | 50.0 |" in detail
+    assert f"{run_name} 50.0 (38–62) | 1.4 |  |" in detail, "from other start states"
     assert f"{run_name} 50.0 (38–62) | 3.0 | 75.0 at 2.0 N |" in detail
 
 
@@ -232,7 +237,7 @@ def test_a_claim_is_judged_by_what_the_files_hold(root):
     squeeze = replace(
         result("sugar_box", 30, 5.0), controller="squeeze", squeeze_force_n=3.0, force_mean_n=1.5
     )
-    write_results(results / "eight_reached.json", [policy, squeeze], PROVENANCE, FIRST_ROBOT)
+    write_results(results / "eight_native.json", [policy, squeeze], PROVENANCE, FIRST_ROBOT)
     text = claims(results)
     assert "| 91.9 % against 56.1 % | 93.8 % against 46.9 % | holds |" in text
     assert "largest on the sugar box | holds |" in text

@@ -13,7 +13,7 @@ from mjx_grasp.handoff.dataset import HandoffSet
 
 def shipped_handoffs(objects_dir: Path | None) -> Path:
     """The shipped handoff set of the eight: for real scans with a folder, else for stand-ins."""
-    return asset_path("handoffs_standins.npz" if objects_dir is None else "handoffs_scans.npz")
+    return asset_path("handoffs_standins.npz" if objects_dir is None else "handoffs_reached.npz")
 
 
 def eligible(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:

@@ -149,6 +149,6 @@ def test_what_is_read_can_be_written_anew(tmp_path):
 
 
 def test_the_shipped_files_are_read(robot):
-    for name in ("handoffs_scans", "handoffs_standins", "handoffs_reached"):
+    for name in ("handoffs_standins", "handoffs_reached"):
         assert len(load_handoffs(asset_path(f"{name}.npz"), robot=robot)) > 500
     assert load_policy(asset_path("policy.npz")).robot.agrees(robot.identity)

@@ -96,6 +96,8 @@ def main(config: GrasperBenchmarkConfig) -> None:
             key = jax.random.key(w)
             ways = timed(plans, plan, known[k], seen, now.q, key)
             state = start(now, known[k], seen, ways)
+            if w == 0:  # a search that avoids a place is another program
+                jax.block_until_ready(plan(known[k], seen, now.q, key, state.avoid))
             for _ in range(round(_LONGEST_S / grasper.dt)):
                 phase = Phase(int(state.phase))
                 state, done = timed(ticks[phase], tick, state, now, known[k], seen)

@@ -241,7 +241,7 @@ TASK_THAT_FEELS = {
     "observation.forces": True,
     "observation.budget": True,
     "reward.held": 4.0,
-    "reward.over_budget": -1.0,
+    "reward.over_budget": -5.0,
     "reward.hard": -0.2,
 }
 """What a policy that feels has otherwise."""

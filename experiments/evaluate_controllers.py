@@ -3,14 +3,17 @@
 Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
 each friction, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
 training engine's figures for the comparison of both. A file of the same settings and
-revision is gone on with.
+revision is gone on with. A new policy need not wait for what is known of the others:
 
-  python experiments/evaluate_controllers.py --objects eight --objects-dir DIR --out FILE.json
+  python experiments/evaluate_controllers.py --objects-dir DIR --out FILE.json
+  python experiments/evaluate_controllers.py --objects-dir DIR --policy P.npz --known FILE.json \
+    --out NEW.json
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -23,7 +26,7 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, read_results, write_results
 from mjx_grasp.evaluation.run import evaluate
@@ -40,6 +43,7 @@ from mjx_grasp.records.settings import (
     NonNegative,
     Positive,
     Seed,
+    from_record,
     to_record,
 )
 from mjx_grasp.robot.spec import load_robot
@@ -96,6 +100,8 @@ class ComparisonConfig(CommandSettings):
     """how the squeeze shares each of them out"""
     grip_frictions: tuple[Positive, ...] = ()
     """frictions μ₀ that the grip assumes when it answers to load [-]"""
+    known: Path | None = None
+    """an earlier comparison from the same states: its squeezes and grips are not run again"""
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
@@ -129,6 +135,61 @@ def asked_controllers(
     ]
 
 
+def asked_of(config: ComparisonConfig, knows_budget: bool) -> list[EvaluateConfig]:
+    """Every controller under every condition, in the order of the file."""
+    bases = [
+        EvaluateConfig(
+            out=config.out,
+            engine=config.engine,
+            episodes=config.episodes,
+            worlds=config.worlds,
+            seed=config.seed,
+            robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
+            **CONDITIONS[name],
+        )
+        for name in config.conditions
+    ]
+    return [each for base in bases for each in asked_controllers(base, config, knows_budget)]
+
+
+def known_rows(
+    config: ComparisonConfig, names: list[str], handoffs: str
+) -> dict[EvaluateConfig, list[ResultRow]]:
+    """What an earlier comparison has of controllers other than a policy, object by object.
+
+    Args:
+        config: What is asked for now; `known` is the earlier file.
+        names: Objects with start states.
+        handoffs: SHA-256 of the start states.
+
+    Raises:
+        FileError: It is of other states, objects, physics or draws.
+    """
+    path = config.known
+    if path is None:
+        return {}
+    stored = read_results(path)
+    try:
+        earlier = from_record(ComparisonConfig, stored.extra.get("settings"), "settings")
+    except InputError as error:
+        raise FileError(path, str(error), "a comparison of controllers") from None
+    for name in ("objects", "states", "noisy_torque", "engine", "episodes", "seed"):
+        found, expected = getattr(earlier, name), getattr(config, name)
+        if found != expected:
+            raise FileError(path, f"{name} {found!r}", f"{expected!r}, as asked for now")
+    if stored.extra.get("sha256", {}).get("handoffs") != handoffs:
+        raise FileError(path, "results from other start states", "those of --handoffs")
+    each = len(names)
+    policies = len(list(takewhile(lambda row: row.controller == "policy", stored.rows)))
+    same = replace(earlier, out=config.out, worlds=config.worlds)
+    found_rows = {}
+    for k, chosen in enumerate(asked_of(same, policies > each)):
+        rows = list(stored.rows[k * each : (k + 1) * each])
+        if chosen.controller != "policy" and [row.object for row in rows] == names:
+            found_rows[chosen] = rows
+    return found_rows
+
+
 def before(
     config: ComparisonConfig, made_of: dict[str, Any]
 ) -> tuple[list[ResultRow], dict[str, Any], dict[str, int]]:
@@ -159,20 +220,7 @@ class _Evaluator(NamedTuple):
 
     def asked(self, config: ComparisonConfig) -> list[EvaluateConfig]:
         """All controllers under all conditions."""
-        bases = [
-            EvaluateConfig(
-                out=config.out,
-                engine=config.engine,
-                episodes=config.episodes,
-                worlds=config.worlds,
-                seed=config.seed,
-                robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
-                **CONDITIONS[name],
-            )
-            for name in config.conditions
-        ]
-        knows_budget = policy_task(self.policy).observation.budget
-        return [each for base in bases for each in asked_controllers(base, config, knows_budget)]
+        return asked_of(config, policy_task(self.policy).observation.budget)
 
 
 _here: list[_Evaluator] = []
@@ -211,23 +259,29 @@ def main(config: ComparisonConfig) -> None:
     console = Console(stderr=True)
     _load(config)
     (own,) = _here
+    sha256 = file_digests(
+        policy=config.policy or asset_path("policy.npz"),
+        handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
+    )
+    known = known_rows(config, own.names, sha256["handoffs"])
     made_of = {
         "settings": to_record(replace(config, processes=1)),  # they make no difference
-        "sha256": file_digests(
-            policy=config.policy or asset_path("policy.npz"),
-            handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
-        ),
+        "sha256": sha256 | file_digests(known=config.known),
     }
+    if config.known is not None:
+        made_of["known"] = read_results(config.known).provenance
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
+    new = [each for each in asked[finished:] if each not in known]
     if config.processes == 1:
-        results = map(_evaluated, asked[finished:])
+        results = map(_evaluated, new)
     else:
-        results = spread(_evaluated, asked[finished:], config.processes, _load, config)
+        results = spread(_evaluated, new, config.processes, _load, config)
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=finished)
-        for new, happened in results:
-            rows += new
+        for each in asked[finished:]:
+            of_each, happened = (known[each], {}) if each in known else next(results)
+            rows += of_each
             for what, count in happened.items():
                 counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
@@ -241,9 +295,9 @@ def main(config: ComparisonConfig) -> None:
                 **counted,
             )
             bar.update(job, advance=1)
-    each = len(asked) // len(config.conditions) * len(own.names)
+    count = len(asked) // len(config.conditions) * len(own.names)
     for k in range(len(config.conditions)):
-        of = rows[k * each : (k + 1) * each]
+        of = rows[k * count : (k + 1) * count]
         Console().print(success_table(of, scans=config.objects_dir is not None))
 
 

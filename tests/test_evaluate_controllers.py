@@ -1,0 +1,119 @@
+"""The comparison of controllers: what is known of squeezes and grips is not run again."""
+
+import importlib
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjx_grasp.errors import FileError
+from mjx_grasp.tasks.config import ClosingTaskConfig
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+NAMES = ["apple", "foam_brick"]
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """The module, with two objects that are none and a count of what was run."""
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    module = importlib.import_module("evaluate_controllers")
+    from mjx_grasp.evaluation.results import ResultRow
+
+    module.ran, number = [], itertools.count(1)
+
+    def evaluated(chosen):
+        module.ran.append(chosen)
+        force = {"policy": None, "squeeze": chosen.squeeze_force, "grip": None}
+        row = ResultRow(
+            object="", controller=chosen.controller, engine="mujoco", episodes=1, successes=1,
+            never_lifted=0, not_held=0, slipped=0, ci95=(20.0, 100.0),
+            force_mean_n=float(next(number)), force_peak_n=2.0,
+            squeeze_force_n=force[chosen.controller], offset_mm=chosen.offset_mm,
+            angle_deg=0.0, friction=chosen.friction, handoffs="reached",
+        )  # fmt: skip
+        return [replace(row, object=name) for name in NAMES], {}
+
+    def load(config):
+        module._here[:] = [module._Evaluator(None, NAMES, [], None, np.ones(1, bool))]
+
+    monkeypatch.setattr(module, "_evaluated", evaluated)
+    monkeypatch.setattr(module, "_load", load)
+    monkeypatch.setattr(module, "policy_task", lambda policy: ClosingTaskConfig())
+    return module
+
+
+@pytest.fixture
+def first(script, tmp_path):
+    """A comparison of a policy, two squeezes and a grip under two conditions."""
+    config = script.ComparisonConfig(
+        out=tmp_path / "first.json",
+        conditions=("nominal", "hard"),
+        squeeze_forces=(3.0, 5.0),
+        grip_frictions=(0.4,),
+    )
+    script.main(config)
+    assert len(script.ran) == 8
+    script.ran.clear()
+    return config
+
+
+def test_only_the_policy_is_run_where_the_others_are_known(script, first, tmp_path):
+    second = replace(first, out=tmp_path / "second.json", known=first.out)
+    script.main(second)
+    assert [each.controller for each in script.ran] == ["policy", "policy"]
+    old, new = (json.loads(each.out.read_text()) for each in (first, second))
+    for was, is_now in zip(old["rows"], new["rows"], strict=True):
+        assert (was == is_now) == (was["controller"] != "policy")
+    assert new["known"] == old["provenance"]
+
+
+def test_what_is_not_known_is_run(script, first, tmp_path):
+    conditions, forces = ("hard", "heavy"), (5.0, 8.0)
+    second = replace(
+        first,
+        out=tmp_path / "second.json",
+        known=first.out,
+        conditions=conditions,
+        squeeze_forces=forces,
+        with_policy=False,
+    )
+    script.main(second)
+    ran = [(each.friction, each.controller, each.squeeze_force) for each in script.ran]
+    assert ran == [(0.5, "squeeze", 8.0), (0.8, "squeeze", 5.0), (0.8, "squeeze", 8.0),
+                   (0.8, "grip", 3.0)]  # fmt: skip
+    assert all(each.mass_scale == 2.0 for each in script.ran[1:])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(seed=2), "seed 1"),
+        (dict(episodes=32), "episodes 64"),
+        (dict(states="all"), "states 'evaluation'"),
+        (dict(objects=("apple",)), r"objects \('eight',\)"),
+        (dict(engine="mjx"), "engine 'mujoco'"),
+        (dict(noisy_torque=True), "noisy_torque False"),
+    ],
+)
+def test_other_draws_are_refused(script, first, tmp_path, change, message):
+    second = replace(first, out=tmp_path / "second.json", known=first.out, **change)
+    with pytest.raises(FileError, match=message):
+        script.main(second)
+    assert not script.ran and not second.out.exists()
+
+
+def test_other_start_states_are_refused(script, first, tmp_path):
+    record = json.loads(first.out.read_text())
+    record["sha256"]["handoffs"] = "0" * 64
+    first.out.write_text(json.dumps(record))
+    with pytest.raises(FileError, match="other start states"):
+        script.main(replace(first, out=tmp_path / "second.json", known=first.out))
+
+
+def test_a_file_that_is_not_there_is_named(script, first, tmp_path):
+    with pytest.raises(FileError, match=r"none\.json"):
+        script.main(replace(first, known=tmp_path / "none.json"))

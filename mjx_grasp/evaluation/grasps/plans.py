@@ -1,4 +1,4 @@
-"""New plans for some worlds of many, in one compiled size."""
+"""New plans for some worlds of many, by one compiled function."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.state import Known, Seen, Ways
 from mjx_grasp.posture.library import Library
 
-_AT_ONCE = 8
-
 
 def planned(
     grasper: Grasper,
@@ -26,7 +24,7 @@ def planned(
     key: Array,
     rows: Int[np.ndarray, " k"],
 ) -> Ways | None:
-    """Plans of some worlds, a few at a time; None where the controller makes none.
+    """Plans of some worlds, one at a time; None where the controller makes none.
 
     Args:
         grasper: The controller.
@@ -40,29 +38,18 @@ def planned(
     """
     if library is None:
         return None
-    parts, size = [], min(_AT_ONCE, len(q))
-    for first in range(0, len(rows), size):
-        some = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]
-        keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(jnp.asarray(some))
-        given = jax.tree.map(lambda leaf, some=some: leaf[some], (known, seen, q, avoid))
-        part = _plan(grasper, library, *given, keys)
-        kept = min(size, len(rows) - first)
-        parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    given = known, seen, q, avoid
+    found = [_plan(grasper, library, given, key, jnp.int32(row)) for row in rows]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
 
 @partial(jax.jit, static_argnames="grasper")
 def _plan(
     grasper: Grasper,
     library: Library,
-    known: Known,
-    seen: Seen,
-    q: Float[Array, "k n"],
-    avoid: Float[Array, "k 3"],
-    keys: Array,
+    given: tuple[Known, Seen, Float[Array, "w n"], Float[Array, "w 3"]],
+    key: Array,
+    row: Int[Array, ""],
 ) -> Ways | None:
-    def one(given: tuple[Known, Seen, Array, Array, Array]) -> Ways | None:
-        known, seen, q, avoid, key = given
-        return grasper.plan(library, known, seen, q, key, avoid)
-
-    return jax.lax.map(one, (known, seen, q, avoid, keys))
+    known, seen, q, avoid = jax.tree.map(lambda leaf: leaf[row], given)
+    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), avoid)

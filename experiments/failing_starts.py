@@ -45,7 +45,8 @@ from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.touch import touch_errors
-from mjx_grasp.reaching.planning import PlanConfig, circles
+from mjx_grasp.reaching.plan_config import PlanConfig
+from mjx_grasp.reaching.plan_costs import circles
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive

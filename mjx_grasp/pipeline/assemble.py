@@ -23,7 +23,8 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import PlanConfig, Planner
+from mjx_grasp.reaching.plan_config import PlanConfig
+from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset
 from mjx_grasp.robot.spec import HandSpec, RobotSpec
 

@@ -6,116 +6,31 @@ and guides selection and reaching in the presets that look ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import full_precision
-from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.grasp.targets import TargetOptions, admissible, standoffs, target_options
-from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.body import FINGERS, PALM, Body
 from mjx_grasp.posture.clearances import proximities
-from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
+from mjx_grasp.posture.config import ClearanceConfig
 from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
-from mjx_grasp.posture.lift import scripted_lift
-from mjx_grasp.posture.surroundings import Surroundings, stacked, to_object
-from mjx_grasp.posture.touch import touch_errors
-from mjx_grasp.reaching.approach import Approach, approaching, deviation
+from mjx_grasp.posture.surroundings import Surroundings, stacked
+from mjx_grasp.reaching.approach import approaching
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.records.settings import (
-    Count,
-    NonNegative,
-    Positive,
-    PositiveOrNever,
-    Seed,
-    Settings,
-    WholeNumber,
-)
-from mjx_grasp.sim.scene import ObjectArea
-
-# Points of a circle around a contact.
-_CIRCLE = 12
-# Cost of a metre of tip error or missing clearance, and of an attempt that is none, [s].
-_LACKING, _FAILED = 1e3, 1e4
-
-
-@dataclass(frozen=True)
-class PlanConfig(Settings):
-    """How hard a solution is looked for."""
-
-    library: Count = 60_000
-    """configurations from which the starts are taken [-]"""
-    kept: Count = 3
-    """plans that differ, for re-selection [-]"""
-    differs: NonNegative = 0.05
-    """palm poses this far apart differ, a turn counting with the lever below [m]"""
-    lever: NonNegative = 0.1
-    """of the palm's turn against its displacement [m/rad]"""
-    tolerance: Positive = 0.005
-    """largest tip error of a solution to be reached for [m]"""
-    lift_height: Positive = 0.15
-    """that the palm is to rise straight up afterwards [m]"""
-    lift_error: PositiveOrNever = float("inf")
-    """from where that should bring it to where it does; a posture with more comes after all others,
-    by default lifting is not looked at [m]"""
-    touch_error: PositiveOrNever = float("inf")
-    """the same of the finger that stays farthest from its contact when it closes [m]"""
-    touch_weight: NonNegative = 0.0
-    """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
-    hold_weight: NonNegative = 0.0
-    """time that a force of once the object's weight counts as, where its contacts ask for so much
-    more to hold it than two upright walls would; by default that is not looked at [s]"""
-    hold_friction: Positive = 0.4
-    """of the contacts in that force [-]"""
-    hold_most: Positive = 5.0
-    """contacts that ask for more force, or cannot hold the object, count as this much [-]"""
-    edge_weight: NonNegative = 0.0
-    """time that it counts as where the surface falls away near a contact, by the largest distance
-    to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""
-    edge_radius: Positive = 0.010
-    """of that circle: about half the width of a fingertip [m]"""
-    lesser_scores: tuple[NonNegative, ...] = ()
-    """where no good posture is found for candidates of the selection's least score: the least
-    scores with which they are looked for then, one after the other [-]"""
-    lesser_cost: Positive = 15.0
-    """cost from which a posture is not good enough to stop looking; a millimetre of tip error or of
-    missing clearance costs as much as a second [s]"""
-    approach: Approach = "any"
-    """where the palm is to come from: straight from above or level, give or take the angle below"""
-    approach_angle: Positive = 0.8
-    """[rad]"""
-    seed: Seed = 0
-    """of the library"""
-    area: ObjectArea = field(default_factory=ObjectArea)
-    """over which the library's hands are about to grasp something"""
-    starts: StartConfig = field(default_factory=StartConfig)
-    """where the solver starts"""
-    ik: IkConfig = field(default_factory=IkConfig)
-    """the solver; clearances are the controller's"""
-    finalists: Count | None = None
-    """attempts that go on after the first steps, the most promising; None: all [-]"""
-    first_steps: Count = 6
-    """that every attempt gets where some are left behind, beside the solver's own [-]"""
-    retreat_steps: Count | None = None
-    """of the solver for the retreated posture; None: as many as its own [-]"""
-    way_samples: WholeNumber = 0
-    """postures on the straight way to the retreated posture, and as many on the way in from it,
-    whose clearances count; 0: plans are chosen by where they end alone [-]"""
-    way_weight: NonNegative = 10.0
-    """time that a clearance missing on these ways counts as, and a retreat that comes short
-    [s/m]"""
+from mjx_grasp.reaching.plan_config import PlanConfig
+from mjx_grasp.reaching.plan_costs import FAILED, attempt_costs, closing_costs, slip_costs
 
 
 class Search(NamedTuple):
@@ -130,18 +45,6 @@ class Search(NamedTuple):
     something [m]"""
     at_limit: Bool[Array, ""]
     """whether the best attempt has a joint at its limit"""
-
-
-def circles(
-    centre: Float[Array, "*n 3"], normal: Float[Array, "*n 3"], radius: float
-) -> Float[Array, "*n points 3"]:
-    """Points around centres, evenly on circles across unit normals, [m]."""
-    least = jnp.eye(3)[jnp.argmin(jnp.abs(normal), axis=-1)]
-    across = unit(jnp.cross(normal, least))
-    other = jnp.cross(normal, across)
-    angle = jnp.linspace(0.0, 2 * jnp.pi, _CIRCLE, endpoint=False)[:, None]
-    ways = jnp.cos(angle) * across[..., None, :] + jnp.sin(angle) * other[..., None, :]
-    return centre[..., None, :] + radius * ways
 
 
 def start_library(body: Body, config: PlanConfig) -> Library:
@@ -253,14 +156,15 @@ class Planner:
         start = starts.q
         if plan.finalists is not None and plan.finalists < plan.starts.count:
             begun = attempts(option, start, plan.first_steps)
-            cost = self._costs(allowed[option], begun, q)
+            cost = attempt_costs(body, plan, allowed[option], begun, q)
             _, best = jax.lax.top_k(-cost, plan.finalists)
             option, start = option[best], begun.q[best]
         found = attempts(option, start, plan.ik.iterations)
         position = around.p_wo + ways.targets.position[option] @ around.R_wo.T
         normal = ways.targets.normal[option] @ around.R_wo.T
-        cost = self._costs(allowed[option], found, q)
-        cost = cost + self._shortfall(found.q, position) + self._slip(position, normal, around)
+        cost = attempt_costs(body, plan, allowed[option], found, q)
+        cost = cost + closing_costs(body, plan, found.q, position)
+        cost = cost + slip_costs(plan, position, normal, around)
 
         def guide(k: Int[Array, ""]) -> Guide:
             wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)
@@ -279,7 +183,7 @@ class Planner:
             candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
             reach=jax.nn.one_hot(jnp.asarray(ways.targets.axis)[pick], 3),
             spread=ways.targets.spread[pick],
-            guide=guides._replace(known=cost[kept] < _FAILED),
+            guide=guides._replace(known=cost[kept] < FAILED),
         )
         error = jnp.max(found.error, axis=1)
         clear = allowed[option] & (found.penetration <= 0)
@@ -352,55 +256,6 @@ class Planner:
         worst = jnp.max(lacking[: plan.way_samples]) + jnp.max(lacking[plan.way_samples :])
         return detour + plan.way_weight * (worst + short)
 
-    def _costs(
-        self, admissible: Bool[Array, " n"], found: IkSolution, q: Float[Array, " joints"]
-    ) -> Float[Array, " n"]:
-        """Of attempts: time to get there at full speed, and heavily what they lack, [s]."""
-        time = jnp.max(jnp.abs(found.q - q) / self.reacher.body.velocity_limit, axis=1)
-        error = jnp.max(found.error, axis=1)
-        lacking = jnp.maximum(jnp.maximum(error - self.config.tolerance, found.missing), 0.0)
-        return jnp.where(admissible, time + _LACKING * lacking, _FAILED)
-
-    def _shortfall(
-        self, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
-    ) -> Float[Array, " n"]:
-        """What postures lack in their approach, and for closing and lifting after them [s]."""
-        plan, body = self.config, self.reacher.body
-        lacking = late = jnp.zeros(len(q))
-        if plan.approach != "any":
-            off = jax.vmap(lambda q: deviation(body, q, plan.approach))(q)
-            lacking = plan.lever * jnp.maximum(off - plan.approach_angle, 0.0)
-        if np.isfinite(plan.lift_error):
-            lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
-            lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
-        if np.isfinite(plan.touch_error):
-            touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
-            lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
-            late = plan.touch_weight * touch
-        return _LACKING * lacking + late
-
-    def _slip(
-        self,
-        contacts: Float[Array, "n 3 3"],
-        normals: Float[Array, "n 3 3"],
-        around: Surroundings,
-    ) -> Float[Array, " n"]:
-        """What contacts lack that the object is likely to slip out of [s]."""
-        plan, lacking = self.config, jnp.zeros(len(contacts))
-        if plan.hold_weight > 0:
-            com = jnp.zeros(3) if around.com is None else around.com
-            load = Load(jnp.array([0.0, 0.0, -1.0]), around.p_wo + around.R_wo @ com)
-            contact = ContactConfig(friction=plan.hold_friction)
-            force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
-            # The thumb bears half the weight, and of walls that stand upright by friction alone.
-            excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
-            lacking = lacking + plan.hold_weight * jnp.maximum(excess, 0.0)
-        if plan.edge_weight > 0:
-            circle = circles(contacts, normals, plan.edge_radius)
-            falls = signed_distance(around.shape, to_object(around, circle))
-            lacking = lacking + plan.edge_weight * jnp.max(falls, axis=(1, 2), initial=0.0)
-        return lacking
-
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
         """The cheapest attempts of which no two put the palm in the same place."""
 
@@ -416,5 +271,5 @@ class Planner:
             turn = norm(so3.log(jnp.einsum("nij,kj->nik", mat, mat[best])))
             near = norm(pos - pos[best]) + plan.lever * turn < plan.differs
             # Those in the same place come after all others.
-            cost = jnp.where(near, cost + _FAILED, cost)
+            cost = jnp.where(near, cost + FAILED, cost)
         return jnp.stack(kept)

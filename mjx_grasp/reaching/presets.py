@@ -9,7 +9,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import SelectionConfig
 from mjx_grasp.posture.config import IkConfig, StartConfig
 from mjx_grasp.reaching.config import HandoffGate, ReachConfig
-from mjx_grasp.reaching.planning import PlanConfig
+from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.records.settings import Settings
 
 

@@ -31,7 +31,8 @@ from mjx_grasp.pipeline.state import Known, Seen
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import midpoint
-from mjx_grasp.reaching.planning import PlanConfig, Planner
+from mjx_grasp.reaching.plan_config import PlanConfig
+from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.tasks.closing import ClosingTask

@@ -19,6 +19,7 @@ from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import Tracked, follow, track
+from mjx_grasp.reaching.plan_costs import slip_costs
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.sim.collision import CollisionChecker
@@ -193,7 +194,7 @@ def test_what_is_in_the_way_and_a_detour_cost_time(planned):
 
 def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(planned):
     """On an upright cylinder, its three contacts at heights below the upper rim."""
-    reacher, plan, _, _, _ = planned
+    _, plan, _, _, _ = planned
     radius, half, friction = 0.03, 0.05, 0.4
     shape = Cylinder(jnp.float32(radius), jnp.float32(half))
     out = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
@@ -202,11 +203,11 @@ def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(plan
     place = jnp.array([0.4, 0.1, half])
 
     def cost(below_rim, com=(0.0, 0.0, 0.0), at=radius * out, **weights):
-        planner = Planner(reacher, replace(plan, hold_friction=friction, **weights))
+        config = replace(plan, hold_friction=friction, **weights)
         around = Surroundings.still(shape, place, turn, jnp.array(com))
         local = at.at[:, 2].add(half - below_rim)
         contacts = place + local @ turn.T
-        return float(planner._slip(contacts[None], (out @ turn.T)[None], around)[0])
+        return float(slip_costs(config, contacts[None], (out @ turn.T)[None], around)[0])
 
     assert cost(0.002) == 0.0
     # The circle's highest point is beyond the rim by what the contact is too near to it.

@@ -16,7 +16,8 @@ from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
-from mjx_grasp.reaching.planning import PlanConfig, Planner, start_library
+from mjx_grasp.reaching.plan_config import PlanConfig
+from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
 from mjx_grasp.robot.spec import RobotSpec

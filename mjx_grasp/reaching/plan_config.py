@@ -1,0 +1,85 @@
+"""Settings of the search for plans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mjx_grasp.posture.config import IkConfig, StartConfig
+from mjx_grasp.reaching.approach import Approach
+from mjx_grasp.records.settings import (
+    Count,
+    NonNegative,
+    Positive,
+    PositiveOrNever,
+    Seed,
+    Settings,
+    WholeNumber,
+)
+from mjx_grasp.sim.scene import ObjectArea
+
+
+@dataclass(frozen=True)
+class PlanConfig(Settings):
+    """How hard a solution is looked for."""
+
+    library: Count = 60_000
+    """configurations from which the starts are taken [-]"""
+    kept: Count = 3
+    """plans that differ, for re-selection [-]"""
+    differs: NonNegative = 0.05
+    """palm poses this far apart differ, a turn counting with the lever below [m]"""
+    lever: NonNegative = 0.1
+    """of the palm's turn against its displacement [m/rad]"""
+    tolerance: Positive = 0.005
+    """largest tip error of a solution to be reached for [m]"""
+    lift_height: Positive = 0.15
+    """that the palm is to rise straight up afterwards [m]"""
+    lift_error: PositiveOrNever = float("inf")
+    """from where that should bring it to where it does; a posture with more comes after all others,
+    by default lifting is not looked at [m]"""
+    touch_error: PositiveOrNever = float("inf")
+    """the same of the finger that stays farthest from its contact when it closes [m]"""
+    touch_weight: NonNegative = 0.0
+    """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
+    hold_weight: NonNegative = 0.0
+    """time that a force of once the object's weight counts as, where its contacts ask for so much
+    more to hold it than two upright walls would; by default that is not looked at [s]"""
+    hold_friction: Positive = 0.4
+    """of the contacts in that force [-]"""
+    hold_most: Positive = 5.0
+    """contacts that ask for more force, or cannot hold the object, count as this much [-]"""
+    edge_weight: NonNegative = 0.0
+    """time that it counts as where the surface falls away near a contact, by the largest distance
+    to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""
+    edge_radius: Positive = 0.010
+    """of that circle: about half the width of a fingertip [m]"""
+    lesser_scores: tuple[NonNegative, ...] = ()
+    """where no good posture is found for candidates of the selection's least score: the least
+    scores with which they are looked for then, one after the other [-]"""
+    lesser_cost: Positive = 15.0
+    """cost from which a posture is not good enough to stop looking; a millimetre of tip error or of
+    missing clearance costs as much as a second [s]"""
+    approach: Approach = "any"
+    """where the palm is to come from: straight from above or level, give or take the angle below"""
+    approach_angle: Positive = 0.8
+    """[rad]"""
+    seed: Seed = 0
+    """of the library"""
+    area: ObjectArea = field(default_factory=ObjectArea)
+    """over which the library's hands are about to grasp something"""
+    starts: StartConfig = field(default_factory=StartConfig)
+    """where the solver starts"""
+    ik: IkConfig = field(default_factory=IkConfig)
+    """the solver; clearances are the controller's"""
+    finalists: Count | None = None
+    """attempts that go on after the first steps, the most promising; None: all [-]"""
+    first_steps: Count = 6
+    """that every attempt gets where some are left behind, beside the solver's own [-]"""
+    retreat_steps: Count | None = None
+    """of the solver for the retreated posture; None: as many as its own [-]"""
+    way_samples: WholeNumber = 0
+    """postures on the straight way to the retreated posture, and as many on the way in from it,
+    whose clearances count; 0: plans are chosen by where they end alone [-]"""
+    way_weight: NonNegative = 10.0
+    """time that a clearance missing on these ways counts as, and a retreat that comes short
+    [s/m]"""

@@ -1,0 +1,118 @@
+"""What the attempts of a search cost, in time: the way there, and what they lack.
+
+An attempt may lack a solution, a straight lift or a closing finger after it, or contacts that hold.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.geometry.signed_distance import signed_distance
+from mjx_grasp.geometry.vectors import unit
+from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
+from mjx_grasp.posture.body import Body
+from mjx_grasp.posture.ik import IkSolution
+from mjx_grasp.posture.lift import scripted_lift
+from mjx_grasp.posture.surroundings import Surroundings, to_object
+from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.reaching.approach import deviation
+from mjx_grasp.reaching.plan_config import PlanConfig
+
+FAILED = 1e4
+"""Cost of an attempt that is none [s]."""
+# Cost of a metre of tip error or missing clearance [s/m].
+_LACKING = 1e3
+# Points of a circle around a contact.
+_CIRCLE = 12
+
+
+def attempt_costs(
+    body: Body,
+    plan: PlanConfig,
+    admissible: Bool[Array, " n"],
+    found: IkSolution,
+    q: Float[Array, " joints"],
+) -> Float[Array, " n"]:
+    """Of solutions: time to get there at full speed, and heavily what they lack [s].
+
+    Args:
+        body: The robot.
+        plan: The search's settings.
+        admissible: Whether each one's contacts may be used at all.
+        found: Solutions.
+        q: Present configuration [rad].
+    """
+    time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
+    error = jnp.max(found.error, axis=1)
+    lacking = jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
+    return jnp.where(admissible, time + _LACKING * lacking, FAILED)
+
+
+def closing_costs(
+    body: Body, plan: PlanConfig, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
+) -> Float[Array, " n"]:
+    """What postures lack in their approach, and for closing and lifting after them [s].
+
+    Args:
+        body: The robot.
+        plan: The search's settings.
+        q: Postures in front of the contacts [rad].
+        contacts: Thumb, index and middle, world [m].
+    """
+    lacking = late = jnp.zeros(len(q))
+    if plan.approach != "any":
+        off = jax.vmap(lambda q: deviation(body, q, plan.approach))(q)
+        lacking = plan.lever * jnp.maximum(off - plan.approach_angle, 0.0)
+    if np.isfinite(plan.lift_error):
+        lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
+        lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
+    if np.isfinite(plan.touch_error):
+        touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
+        lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
+        late = plan.touch_weight * touch
+    return _LACKING * lacking + late
+
+
+def slip_costs(
+    plan: PlanConfig,
+    contacts: Float[Array, "n 3 3"],
+    normals: Float[Array, "n 3 3"],
+    around: Surroundings,
+) -> Float[Array, " n"]:
+    """What contacts lack that the object is likely to slip out of [s].
+
+    Args:
+        plan: The search's settings.
+        contacts: Thumb, index and middle, world [m].
+        normals: Outward unit normals of the surface there, world [-].
+        around: Object and obstacles.
+    """
+    lacking = jnp.zeros(len(contacts))
+    if plan.hold_weight > 0:
+        com = jnp.zeros(3) if around.com is None else around.com
+        load = Load(jnp.array([0.0, 0.0, -1.0]), around.p_wo + around.R_wo @ com)
+        contact = ContactConfig(friction=plan.hold_friction)
+        force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
+        # The thumb bears half the weight, and of walls that stand upright by friction alone.
+        excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
+        lacking = lacking + plan.hold_weight * jnp.maximum(excess, 0.0)
+    if plan.edge_weight > 0:
+        circle = circles(contacts, normals, plan.edge_radius)
+        falls = signed_distance(around.shape, to_object(around, circle))
+        lacking = lacking + plan.edge_weight * jnp.max(falls, axis=(1, 2), initial=0.0)
+    return lacking
+
+
+def circles(
+    centre: Float[Array, "*n 3"], normal: Float[Array, "*n 3"], radius: float
+) -> Float[Array, "*n points 3"]:
+    """Points around centres, evenly on circles across unit normals, [m]."""
+    least = jnp.eye(3)[jnp.argmin(jnp.abs(normal), axis=-1)]
+    across = unit(jnp.cross(normal, least))
+    other = jnp.cross(normal, across)
+    angle = jnp.linspace(0.0, 2 * jnp.pi, _CIRCLE, endpoint=False)[:, None]
+    ways = jnp.cos(angle) * across[..., None, :] + jnp.sin(angle) * other[..., None, :]
+    return centre[..., None, :] + radius * ways

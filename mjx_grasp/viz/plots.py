@@ -35,6 +35,7 @@ GREY = "#5b6470"
 """Of words."""
 _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
+_LABELS = {"squeeze": (9, -9), "grip": (3, -13)}  # beside a point; policies' are above
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
@@ -193,8 +194,12 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
 
 
 def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
-    """Controllers of one family, joined, each with what it was asked for to its left and above."""
+    """Controllers of one family, joined, each with what it was asked for beside it.
+
+    That is above a policy and below the others, over which it should be.
+    """
     points = sorted(points)
+    x, y = _LABELS.get(points[0].family, (-5, 6))
     ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
     for point in points:
         low, high = point.interval
@@ -205,8 +210,8 @@ def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> Erro
         if len(points) > 1:
             ax.annotate(
                 point.setting.rpartition(", ")[2].removeprefix("budget "),
-                (point.force, point.mean), xytext=(-5, 6), textcoords="offset points",
-                color=colour, fontsize=8, ha="right",
+                (point.force, point.mean), xytext=(x, y), textcoords="offset points",
+                color=colour, fontsize=7, ha="left" if x > 0 else "right",
             )  # fmt: skip
     return dot
 

@@ -111,7 +111,7 @@ PARTS = (
         "success, forces and failure classes on the eight objects, policy and squeeze",
         (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
-            "--force-budgets 1.5 3 6 --squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 "
+            "--force-budgets 1.5 3 4 6 --squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 "
             "--episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
@@ -128,11 +128,11 @@ PARTS = (
         "objects",
         "success on all objects that have start states, held-out ones too",
         (
-            "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 24 "
-            f"--seed 11 --objects-dir SCANS --out {FOLDER}/reached_all.npz",
+            "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96 "
+            f"--max-rounds 3 --seed 11 --objects-dir SCANS --out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 "
-            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 48 --worlds 48 "
+            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
             "--processes CORES --out experiments/results/objects/reached.json",
         ),
     ),

@@ -73,6 +73,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
+            "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),

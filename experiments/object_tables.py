@@ -1,6 +1,7 @@
 """Success on every object that has start states, those of training and those kept out of it.
 
-The results file is that of `evaluate_controllers.py` from reached states of all objects.
+The results file is that of `evaluate_controllers.py` from reached states of all objects; that of
+the heaviest ones is of `heavy_objects.py`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from stage_tables import NOTHING, markdown
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import ResultRow, read_results
 from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 _PARTS = {
@@ -105,3 +107,30 @@ def _mean(
     policy, squeeze = paper.ALL_ELIGIBLE
     published = f"{policy:g} / {squeeze:g}" if part == "train" else ""
     return f"mean of {len(own)}", _PARTS[part], "", *cells, published
+
+
+def heavy(path: Path) -> str:
+    """Success on the heaviest objects, a line for each, a column for each grip and finger strength.
+
+    Args:
+        path: The results file.
+
+    Raises:
+        FileError: It cannot be read.
+    """
+    if not path.exists():
+        return NOTHING
+    rows = read_json(path, "results of heavy objects")["rows"]
+    columns = list(dict.fromkeys((row["most_n"], row["finger_torque"]) for row in rows))
+    cells: dict[str, dict[tuple[float, float], str]] = {}
+    for row in rows:
+        held = "" if row["force_held_n"] is None else f" at {row['force_held_n']:.1f} N"
+        share = f"{100 * row['successes'] / row['episodes']:.0f}{held}"
+        cells.setdefault(row["object"], {})[row["most_n"], row["finger_torque"]] = share
+    mass = {row["object"]: row["mass_kg"] for row in rows}
+    lines = tuple(
+        (name.replace("_", " "), f"{mass[name]:.2f}", *(of[column] for column in columns))
+        for name, of in sorted(cells.items(), key=lambda item: -mass[item[0]])
+    )
+    header = ("object", "mass kg", *(f"up to {most:g} N, torque × {t:g}" for most, t in columns))
+    return markdown(Table("Heavy objects", header, lines, names=1))

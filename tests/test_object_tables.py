@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from mjx_grasp.errors import InputError
+
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+ASSETS = EXPERIMENTS.parent / "assets"
 SHIPPED = EXPERIMENTS / "results" / "eight_native.json"
 
 
@@ -53,3 +56,26 @@ def test_objects_of_training_come_first_and_each_part_has_its_mean(tables, resul
 def test_objects_without_start_states_are_named(tables, results, tmp_path):
     assert tables.objects(results).endswith("Without start states: bowl.")
     assert tables.objects(tmp_path / "none.json") == "_No results file yet._"
+
+
+def test_heavy_objects_are_gripped_harder_and_by_stronger_fingers(tables, tmp_path):
+    script, out = importlib.import_module("heavy_objects"), tmp_path / "heavy.json"
+    script.main(
+        script.HeavyConfig(
+            objects=("foam_brick",), handoffs=ASSETS / "handoffs_standins.npz", most=(8.0, 9.0),
+            finger_torque=(1.0,), episodes=2, out=out,
+        )
+    )  # fmt: skip
+    rows = json.loads(out.read_text())["rows"]
+    assert [(row["most_n"], row["episodes"]) for row in rows] == [(8.0, 2), (9.0, 2)]
+    assert all(row["successes"] == 2 and row["mass_kg"] == 0.028 for row in rows)
+    header, _, line = tables.heavy(out).splitlines()
+    assert header.split("|")[3:5] == [" up to 8 N, torque × 1 ", " up to 9 N, torque × 1 "]
+    assert line.startswith("| foam brick | 0.03 | 100 at ")
+
+
+def test_heavy_objects_without_states_are_refused(tables, tmp_path):
+    script = importlib.import_module("heavy_objects")
+    config = script.HeavyConfig(handoffs=ASSETS / "handoffs_standins.npz", out=tmp_path / "x.json")
+    with pytest.raises(InputError, match=r"--objects.*bleach_cleanser"):
+        script.main(config)

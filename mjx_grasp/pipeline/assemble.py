@@ -76,10 +76,11 @@ def whole_grasps(
         retreat_steps=None,
         lift_error=0.03,
         touch_error=0.016,
+        haste=6.0,
         touch_weight=200.0,
         hold_weight=8.0,
         edge_weight=800.0,
-        lesser_cost=20.0,
+        lesser_cost=35.0,
         lesser_scores=lesser,
         approach=approach,
     )

@@ -151,6 +151,11 @@ class HandoffGate(Settings):
     """largest tip error with which it is; the paper looks at the midpoint alone [m]"""
     tip_speed: PositiveOrNever = float("inf")
     """speed of the fastest tip with which it is [m/s]"""
+    near: PositiveOrNever = float("inf")
+    """time for which the following has to last; never in the paper [s]"""
+    near_tips: NonNegative = 0.015
+    """largest tip error of a hand that comes no nearer: closing makes up for so much, and another
+    plan takes longer than that is worth [m]"""
     late: PositiveOrNever = 3.0
     """fine-adjustment timer from which the following is enough [s]"""
     late_tips: NonNegative = 0.050

@@ -81,6 +81,8 @@ class ReachState(NamedTuple):
     """share of the retreat that is left [-]"""
     timer: Float[Array, ""]
     """the fine-adjustment timer [s]"""
+    near: Float[Array, ""]
+    """time for which the tips have been as near as the gate asks for in the end [s]"""
     clock: Float[Array, ""]
     """since the start [s]"""
     tries: Int[Array, ""]
@@ -154,6 +156,8 @@ class _Progress(NamedTuple):
     """whether the gate is open"""
     timer: Float[Array, ""]
     """the fine-adjustment timer [s]"""
+    near: Float[Array, ""]
+    """see `ReachState` [s]"""
     waits: Bool[Array, ""]
     """whether something moves that is waited for"""
 
@@ -194,6 +198,7 @@ class Reacher:
             guide_q=jnp.zeros((2, len(q))),
             left=jnp.float32(1.0),
             timer=jnp.float32(0.0),
+            near=jnp.float32(0.0),
             clock=jnp.float32(0.0),
             tries=jnp.int32(0),
             best=jnp.full(2, jnp.inf, jnp.float32),
@@ -320,12 +325,15 @@ class Reacher:
         passes = jnp.any(norm(around.obstacle_velocity) * config.dt > _STILL)
         passes &= report.obstacle_distance < _HOLDS * limits.clearances.obstacles
         timer = jnp.where(error < config.fine_distance, state.timer + config.dt, 0.0)
+        rests = (error <= config.gate.near_tips) & ~(moves | passes)
+        near = jnp.where(rests, state.near + config.dt, 0.0)
         progress = _Progress(
             error=error,
             to_go=jnp.where(guide.known & (guide.astray < 0.5), to_go, jnp.inf),
             ready=targets.valid
-            & is_ready(config.gate, timer, error, report.midpoint, jnp.max(report.speed)),
+            & is_ready(config.gate, timer, near, error, report.midpoint, jnp.max(report.speed)),
             timer=timer,
+            near=near,
             waits=moves | passes,
         )
         state = self._advance(state, progress, targets.valid, candidates, plans)
@@ -367,6 +375,7 @@ class Reacher:
         outcome = jnp.where(hands_off, ReachOutcome.HANDOFF, ends)
         state = state._replace(
             timer=jnp.where(again & timed_out, 0.0, now.timer),
+            near=now.near,
             clock=clock,
             best=jnp.where(again, jnp.inf, best),
             since=jnp.where(again, 0.0, since),
@@ -420,6 +429,7 @@ class Reacher:
 def is_ready(
     gate: HandoffGate,
     timer: Float[Array, ""],
+    near: Float[Array, ""],
     error: Float[Array, ""],
     midpoint: Float[Array, ""],
     speed: Float[Array, ""],
@@ -429,12 +439,14 @@ def is_ready(
     Args:
         gate: What counts as near enough.
         timer: The fine-adjustment timer, [s].
+        near: Time for which the largest tip error has been below `near_tips`, [s].
         error: Largest tip error, [m].
         midpoint: Error of the midpoint, [m].
         speed: Of the fastest tip, [m/s].
     """
     arrived = (midpoint < gate.midpoint) & (error <= gate.tips) & (speed <= gate.tip_speed)
-    return arrived | ((timer >= gate.late) & (error <= gate.late_tips))
+    late = (timer >= gate.late) & (error <= gate.late_tips)
+    return arrived | (near >= gate.near) | late
 
 
 def _twist(

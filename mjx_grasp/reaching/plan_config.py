@@ -30,6 +30,8 @@ class PlanConfig(Settings):
     """palm poses this far apart differ, a turn counting with the lever below [m]"""
     lever: NonNegative = 0.1
     """of the palm's turn against its displacement [m/rad]"""
+    haste: NonNegative = 1.0
+    """what a second on the way counts as, against what attempts lack [-]"""
     tolerance: Positive = 0.005
     """largest tip error of a solution to be reached for [m]"""
     lift_height: Positive = 0.15

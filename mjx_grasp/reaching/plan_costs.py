@@ -36,7 +36,7 @@ def attempt_costs(
     found: IkSolution,
     q: Float[Array, " joints"],
 ) -> Float[Array, " n"]:
-    """Of solutions: time to get there at full speed, and heavily what they lack [s].
+    """Of solutions: time to get there at full speed, by haste, and heavily what they lack [s].
 
     Args:
         body: The robot.
@@ -48,7 +48,7 @@ def attempt_costs(
     time = jnp.max(jnp.abs(found.q - q) / body.velocity_limit, axis=1)
     error = jnp.max(found.error, axis=1)
     lacking = jnp.maximum(jnp.maximum(error - plan.tolerance, found.missing), 0.0)
-    return jnp.where(admissible, time + _LACKING * lacking, FAILED)
+    return jnp.where(admissible, plan.haste * time + _LACKING * lacking, FAILED)
 
 
 def closing_costs(

@@ -254,7 +254,7 @@ class Planner:
         short = jnp.maximum(self.reacher.config.guide.length - norm(guide.tip_shift), 0.0)
         detour = time(q, outside) + time(outside, inside) - time(q, inside)
         worst = jnp.max(lacking[: plan.way_samples]) + jnp.max(lacking[plan.way_samples :])
-        return detour + plan.way_weight * (worst + short)
+        return plan.haste * detour + plan.way_weight * (worst + short)
 
     def _different(self, q: Float[Array, "n joints"], cost: Float[Array, " n"]) -> Int[Array, " p"]:
         """The cheapest attempts of which no two put the palm in the same place."""

@@ -70,7 +70,7 @@ def _additions() -> dict[str, ReachPreset]:
             controller={
                 "reselections": 6,
                 "stall_time": 0.5,
-                "gate": HandoffGate(tips=0.008),
+                "gate": HandoffGate(tips=0.008, near=0.3),
                 "replan_moved": 0.03,
             },
         ),
@@ -96,7 +96,7 @@ GATES = {
 }
 """By name: ``default``; ``paper``: the midpoint alone, as soon as it is near; ``converged``: every
 tip within the publication's 20 mm and slower than its 0.025 m/s. All are content with 50 mm after
-3 s of fine adjustment (method §3, 'Handoff')."""
+3 s of fine adjustment (method §3, 'Handoff'), the default with 15 mm where it comes no nearer."""
 
 
 def with_gate(settings: ReachPreset, gate: HandoffGate) -> ReachPreset:

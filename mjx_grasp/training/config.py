@@ -124,8 +124,9 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="cpu",
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
-            task=FEELING,
-            noise=VARIED,
+            # So short a training would learn to let go under the price that a long one can bear.
+            task=replace(FEELING, reward=replace(FEELING.reward, over_budget=-1.0)),
+            noise=replace(VARIED, budget_n=(1.5, 6.0)),
             objects=("rubiks_cube",),
             handoffs_per_object=192,
             engine="mujoco",

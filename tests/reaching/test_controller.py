@@ -88,16 +88,32 @@ def test_an_easy_reach_hands_off_near_its_targets_and_stops(reacher):
 
 
 def test_a_gate_opens_near_the_targets_and_later_farther_away():
-    gate = HandoffGate(midpoint=0.01, tips=0.02, tip_speed=0.03, late=3.0, late_tips=0.05)
-    for timer, error, midpoint, speed, opens in (
-        (0.1, 0.019, 0.009, 0.02, True),
-        (0.1, 0.021, 0.009, 0.02, False),
-        (0.1, 0.019, 0.011, 0.02, False),
-        (0.1, 0.019, 0.009, 0.04, False),
-        (3.0, 0.049, 0.040, 0.04, True),
-        (3.0, 0.051, 0.040, 0.02, False),
+    gate = HandoffGate(midpoint=0.01, tips=0.02, tip_speed=0.03, near=0.3, late=3.0, late_tips=0.05)
+    for timer, near, error, midpoint, speed, opens in (
+        (0.1, 0.0, 0.019, 0.009, 0.02, True),
+        (0.1, 0.0, 0.021, 0.009, 0.02, False),
+        (0.1, 0.0, 0.019, 0.011, 0.02, False),
+        (0.1, 0.0, 0.019, 0.009, 0.04, False),
+        (0.4, 0.29, 0.021, 0.009, 0.02, False),
+        (0.4, 0.30, 0.021, 0.009, 0.02, True),
+        (3.0, 0.0, 0.049, 0.040, 0.04, True),
+        (3.0, 0.0, 0.051, 0.040, 0.02, False),
     ):
-        assert bool(is_ready(gate, *map(jnp.float32, (timer, error, midpoint, speed)))) == opens
+        given = map(jnp.float32, (timer, near, error, midpoint, speed))
+        assert bool(is_ready(gate, *given)) == opens
+
+
+@pytest.mark.parametrize("near", [0.3, np.inf])
+def test_a_hand_that_comes_no_nearer_is_near_enough_after_a_while(reacher, near):
+    gate = HandoffGate(tips=1e-9, near=near, near_tips=0.030)  # no tip comes that near
+    run = _reach(_with(reacher, gate=gate, fine_timeout=np.inf), CENTRE, 700)
+    at = int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF))
+    error, dt = run["error"].max(axis=1), reacher.config.controller.dt
+    if np.isinf(near):
+        assert run["timer"][at] == pytest.approx(gate.late, abs=dt)
+        return
+    first = at - int(np.argmax(error[at::-1] > gate.near_tips)) + 1
+    assert (at - first + 1) * dt == pytest.approx(near, abs=1.1 * dt)  # a sum of float32
 
 
 @pytest.mark.parametrize("ends", [True, False])

@@ -254,8 +254,14 @@ def test_presets_change_what_they_must_and_no_more(monkeypatch, gpu):
     feeling = ("cpu", "gpu") if gpu else ("cpu",)
     for name in (*feeling, "paper"):
         preset = preset_config(name)
-        assert numbers(preset.task) == task | (
-            TASK_OF_PAPER if name == "paper" else TASK_THAT_FEELS
+        assert (
+            numbers(preset.task)
+            == task
+            | {
+                "paper": TASK_OF_PAPER,
+                "cpu": TASK_THAT_FEELS | {"reward.over_budget": -1.0},
+                "gpu": TASK_THAT_FEELS,
+            }[name]
         )
         assert (preset.noise == default.noise) == (name == "paper")
         assert preset.noise.robot == default.noise.robot and preset.loop == default.loop

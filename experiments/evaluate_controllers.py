@@ -13,7 +13,6 @@ revision is gone on with. A new policy need not wait for what is known of the ot
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -152,22 +151,32 @@ def asked_of(config: ComparisonConfig, knows_budget: bool) -> list[EvaluateConfi
     return [each for base in bases for each in asked_controllers(base, config, knows_budget)]
 
 
-def known_rows(
-    config: ComparisonConfig, names: list[str], handoffs: str
-) -> dict[EvaluateConfig, list[ResultRow]]:
-    """What an earlier comparison has of controllers other than a policy, object by object.
+class Known(NamedTuple):
+    """What an earlier comparison has of controllers other than a policy."""
+
+    rows: dict[EvaluateConfig, list[ResultRow]]
+    """object by object"""
+    origin: dict[str, Any]
+    """its provenance, what it knew from others, and counts of incidents"""
+
+
+def what_is_known(config: ComparisonConfig, names: list[str], handoffs: str) -> Known | None:
+    """What `config.known` has of what is asked for; None without such a file.
 
     Args:
-        config: What is asked for now; `known` is the earlier file.
+        config: What is asked for now.
         names: Objects with start states.
         handoffs: SHA-256 of the start states.
 
     Raises:
+        InputError: It is the file to write.
         FileError: It is of other states, objects, physics or draws.
     """
     path = config.known
     if path is None:
-        return {}
+        return None
+    if path.resolve() == config.out.resolve():
+        raise InputError("--known", path, "another file than --out")
     stored = read_results(path)
     try:
         earlier = from_record(ComparisonConfig, stored.extra.get("settings"), "settings")
@@ -179,15 +188,15 @@ def known_rows(
             raise FileError(path, f"{name} {found!r}", f"{expected!r}, as asked for now")
     if stored.extra.get("sha256", {}).get("handoffs") != handoffs:
         raise FileError(path, "results from other start states", "those of --handoffs")
-    each = len(names)
-    policies = len(list(takewhile(lambda row: row.controller == "policy", stored.rows)))
-    same = replace(earlier, out=config.out, worlds=config.worlds)
-    found_rows = {}
-    for k, chosen in enumerate(asked_of(same, policies > each)):
+    each, same = len(names), replace(earlier, out=config.out, worlds=config.worlds)
+    knew_budget = any(row.force_budget_n is not None for row in stored.rows)
+    known = {}
+    for k, chosen in enumerate(asked_of(same, knew_budget)):
         rows = list(stored.rows[k * each : (k + 1) * each])
         if chosen.controller != "policy" and [row.object for row in rows] == names:
-            found_rows[chosen] = rows
-    return found_rows
+            known[chosen] = rows
+    more = {key: stored.extra[key] for key in ("known", *incidents(())) if key in stored.extra}
+    return Known(known, stored.provenance | more)
 
 
 def before(
@@ -263,13 +272,14 @@ def main(config: ComparisonConfig) -> None:
         policy=config.policy or asset_path("policy.npz"),
         handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
     )
-    known = known_rows(config, own.names, sha256["handoffs"])
+    found = what_is_known(config, own.names, sha256["handoffs"])
+    known = found.rows if found else {}
     made_of = {
         "settings": to_record(replace(config, processes=1)),  # they make no difference
         "sha256": sha256 | file_digests(known=config.known),
     }
-    if config.known is not None:
-        made_of["known"] = read_results(config.known).provenance
+    if found:
+        made_of["known"] = found.origin
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
     new = [each for each in asked[finished:] if each not in known]

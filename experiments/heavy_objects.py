@@ -59,13 +59,14 @@ def main(config: HeavyConfig) -> None:
     names, without = eligible(config.objects, stored)
     if without:
         raise InputError("--objects", without, f"some of {', '.join(stored.object_names)}")
-    states = states_of(stored, names, "all")
+    states, quiet = states_of(stored, names, "all"), Console(quiet=True)
     with counting_progress(console) as bar:
         job = bar.add_task("grips", total=len(config.most) * len(config.finger_torque))
         for torque in config.finger_torque:
             settings = SceneConfig(finger_torque=torque)
             scene = build_scene_of(config.objects, config.objects_dir, robot, settings)
             world = build_world(scene, states, TaskConfig().control_dt)
+            mass = {obj.name: obj.mass for obj in scene.objects}
             for most in config.most:
                 chosen = EvaluateConfig(
                     out=config.out,
@@ -74,9 +75,7 @@ def main(config: HeavyConfig) -> None:
                     episodes=config.episodes,
                     seed=config.seed,
                 )
-                quiet = Console(quiet=True)
                 found, _ = evaluate(world, names, chosen, None, states.reached, quiet)
-                mass = {obj.name: obj.mass for obj in scene.objects}
                 rows += [
                     {"most_n": most, "finger_torque": torque, "mass_kg": mass[row.object]}
                     | to_record(row)

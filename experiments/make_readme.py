@@ -149,19 +149,22 @@ def _provenance(paths: Sequence[Path], folder: Path) -> Table:
     rows = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
-        made = json.loads(path.read_text()).get("provenance", {})
-        versions = made.get("versions", {})
-        shown = ", ".join(f"{n} {versions[n]}" for n in ("jax", "mujoco") if n in versions)
-        rows.append(
-            (
-                f"[{name}](results/{name})",
-                f"`{made.get('command', '')}`",
-                short_revision(made),
-                str(made.get("device", "")),
-                shown,
-                str(made.get("seed", "")),
+        content = json.loads(path.read_text())
+        made, what = content.get("provenance", {}) | {"known": content.get("known")}, ""
+        while made:
+            versions = made.get("versions", {})
+            shown = ", ".join(f"{n} {versions[n]}" for n in ("jax", "mujoco") if n in versions)
+            rows.append(
+                (
+                    f"[{name}](results/{name}){what}",
+                    f"`{made.get('command', '')}`",
+                    short_revision(made),
+                    str(made.get("device", "")),
+                    shown,
+                    str(made.get("seed", "")),
+                )
             )
-        )
+            made, what = made.get("known"), ": taken over"
     header = ("file", "command", "git", "device", "versions", "seed")
     return Table("Results files", header, tuple(rows), names=5)
 

@@ -134,7 +134,7 @@ PARTS = (
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 "
             "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
             "--processes CORES --out experiments/results/objects/reached.json",
-            "experiments/heavy_objects.py --objects-dir SCANS",
+            f"experiments/heavy_objects.py --objects-dir SCANS --handoffs {FOLDER}/reached_all.npz",
         ),
     ),
     Part(

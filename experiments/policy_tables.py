@@ -125,7 +125,8 @@ def policies(folder: Path, shipped: Path) -> str:
 
 
 _ABLATION = (
-    "Runs of the preset `gpu` with {steps:.1f} M steps that differ from it as the first column "
+    "Runs of the preset `gpu` as it was when force above the budget cost a fifth of today's price, "
+    "with {steps:.1f} M steps, that differ from it as the first column "
     "says. Each policy lifts in native MuJoCo from {trials} starts of the training set per "
     "condition and budget: success % at the mean force in N / lifted within 3 N, %. *Hard* is "
     "±10 mm with friction 0.5; *other robot* has position gains off by up to three tenths and "

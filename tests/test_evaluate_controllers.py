@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjx_grasp.errors import FileError
+from mjx_grasp.closing.learned import ObservationConfig
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.tasks.config import ClosingTaskConfig
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
 NAMES = ["apple", "foam_brick"]
 
 
-@pytest.fixture
-def script(monkeypatch):
+@pytest.fixture(params=[False, True], ids=["no budget", "budget"])
+def script(monkeypatch, request):
     """The module, with two objects that are none and a count of what was run."""
     monkeypatch.syspath_prepend(str(EXPERIMENTS))
     module = importlib.import_module("evaluate_controllers")
@@ -27,6 +28,7 @@ def script(monkeypatch):
 
     def evaluated(chosen):
         module.ran.append(chosen)
+        budget = request.param and chosen.controller == "policy"
         force = {"policy": None, "squeeze": chosen.squeeze_force, "grip": None}
         row = ResultRow(
             object="", controller=chosen.controller, engine="mujoco", episodes=1, successes=1,
@@ -34,6 +36,7 @@ def script(monkeypatch):
             force_mean_n=float(next(number)), force_peak_n=2.0,
             squeeze_force_n=force[chosen.controller], offset_mm=chosen.offset_mm,
             angle_deg=0.0, friction=chosen.friction, handoffs="reached",
+            force_budget_n=chosen.force_budget if budget else None,
         )  # fmt: skip
         return [replace(row, object=name) for name in NAMES], {}
 
@@ -42,7 +45,9 @@ def script(monkeypatch):
 
     monkeypatch.setattr(module, "_evaluated", evaluated)
     monkeypatch.setattr(module, "_load", load)
-    monkeypatch.setattr(module, "policy_task", lambda policy: ClosingTaskConfig())
+    task = ClosingTaskConfig(observation=ObservationConfig(forces=True, budget=request.param))
+    monkeypatch.setattr(module, "policy_task", lambda policy: task)
+    module.policies = 2 if request.param else 1
     return module
 
 
@@ -52,11 +57,12 @@ def first(script, tmp_path):
     config = script.ComparisonConfig(
         out=tmp_path / "first.json",
         conditions=("nominal", "hard"),
+        force_budgets=(1.5, 3.0),
         squeeze_forces=(3.0, 5.0),
         grip_frictions=(0.4,),
     )
     script.main(config)
-    assert len(script.ran) == 8
+    assert len(script.ran) == 2 * (script.policies + 3)
     script.ran.clear()
     return config
 
@@ -64,11 +70,29 @@ def first(script, tmp_path):
 def test_only_the_policy_is_run_where_the_others_are_known(script, first, tmp_path):
     second = replace(first, out=tmp_path / "second.json", known=first.out)
     script.main(second)
-    assert [each.controller for each in script.ran] == ["policy", "policy"]
+    assert [each.controller for each in script.ran] == 2 * script.policies * ["policy"]
     old, new = (json.loads(each.out.read_text()) for each in (first, second))
     for was, is_now in zip(old["rows"], new["rows"], strict=True):
         assert (was == is_now) == (was["controller"] != "policy")
-    assert new["known"] == old["provenance"]
+    assert new["known"].items() >= old["provenance"].items() and "known" not in new["known"]
+    third = replace(first, out=tmp_path / "third.json", known=second.out)
+    script.main(third)
+    assert json.loads(third.out.read_text())["known"]["known"] == new["known"]
+
+
+def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):
+    record = json.loads(first.out.read_text())
+    record["rows"] = record["rows"][: len(NAMES) * (script.policies + 1)]
+    first.out.write_text(json.dumps(record))
+    script.main(replace(first, out=tmp_path / "second.json", known=first.out))
+    assert [each.squeeze_force for each in script.ran if each.controller == "squeeze"] == [5, 3, 5]
+
+
+def test_the_known_file_is_not_written_over(script, first):
+    before = first.out.read_text()
+    with pytest.raises(InputError, match=r"--known.*another file"):
+        script.main(replace(first, known=first.out))
+    assert first.out.read_text() == before
 
 
 def test_what_is_not_known_is_run(script, first, tmp_path):

@@ -46,6 +46,7 @@ def whole_grasps(
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
     last: the farther short, the later. So do contacts near an edge and those that need much force.
+    Short ways count more than in reaching alone.
 
     Args:
         preset: What it is made from.

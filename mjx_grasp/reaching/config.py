@@ -154,8 +154,8 @@ class HandoffGate(Settings):
     near: PositiveOrNever = float("inf")
     """time for which the following has to last; never in the paper [s]"""
     near_tips: NonNegative = 0.015
-    """largest tip error of a hand that comes no nearer: closing makes up for so much, and another
-    plan takes longer than that is worth [m]"""
+    """largest tip error during that time: closing makes up for so much, and to wait for less, or to
+    try another plan, takes longer than that is worth [m]"""
     late: PositiveOrNever = 3.0
     """fine-adjustment timer from which the following is enough [s]"""
     late_tips: NonNegative = 0.050

@@ -82,7 +82,7 @@ class ReachState(NamedTuple):
     timer: Float[Array, ""]
     """the fine-adjustment timer [s]"""
     near: Float[Array, ""]
-    """time for which the tips have been as near as the gate asks for in the end [s]"""
+    """time for which every tip has been within the gate's `near_tips` while nothing moves [s]"""
     clock: Float[Array, ""]
     """since the start [s]"""
     tries: Int[Array, ""]
@@ -439,7 +439,7 @@ def is_ready(
     Args:
         gate: What counts as near enough.
         timer: The fine-adjustment timer, [s].
-        near: Time for which the largest tip error has been below `near_tips`, [s].
+        near: Time for which it has been within `near_tips` while nothing moves, [s].
         error: Largest tip error, [m].
         midpoint: Error of the midpoint, [m].
         speed: Of the fastest tip, [m/s].

@@ -20,7 +20,7 @@ from mjx_grasp.sim.scene import ObjectArea
 
 @dataclass(frozen=True)
 class PlanConfig(Settings):
-    """How hard a solution is looked for."""
+    """How hard a solution is looked for, and which one is preferred."""
 
     library: Count = 60_000
     """configurations from which the starts are taken [-]"""
@@ -31,7 +31,7 @@ class PlanConfig(Settings):
     lever: NonNegative = 0.1
     """of the palm's turn against its displacement [m/rad]"""
     haste: NonNegative = 1.0
-    """what a second on the way counts as, against what attempts lack [-]"""
+    """cost of a second on the way, in the seconds in which all costs are given [-]"""
     tolerance: Positive = 0.005
     """largest tip error of a solution to be reached for [m]"""
     lift_height: Positive = 0.15
@@ -60,7 +60,7 @@ class PlanConfig(Settings):
     scores with which they are looked for then, one after the other [-]"""
     lesser_cost: Positive = 15.0
     """cost from which a posture is not good enough to stop looking; a millimetre of tip error or of
-    missing clearance costs as much as a second [s]"""
+    missing clearance costs one [s]"""
     approach: Approach = "any"
     """where the palm is to come from: straight from above or level, give or take the angle below"""
     approach_angle: Positive = 0.8

@@ -85,8 +85,8 @@ for which inverse kinematics found a posture; ``guide``: that posture guides the
 the guide is enough, tips need no via-points and slow down later; ``clearance``: half-spaces have a
 margin and move with the object, and a command is scaled back where its tick would end too near to
 something, which bounds of the nearest points alone do not rule out; ``default``: another plan when
-progress stalls, handoff when every tip is near, plans chosen by the whole way and from fewer
-attempts, a longer way in, and a hand that comes to rest sooner."""
+progress stalls, handoff when every tip is near or stays fairly near, plans chosen by the whole way
+and from fewer attempts, a longer way in, and a hand that comes to rest sooner."""
 
 
 GATES = {
@@ -96,7 +96,7 @@ GATES = {
 }
 """By name: ``default``; ``paper``: the midpoint alone, as soon as it is near; ``converged``: every
 tip within the publication's 20 mm and slower than its 0.025 m/s. All are content with 50 mm after
-3 s of fine adjustment (method §3, 'Handoff'), the default with 15 mm where it comes no nearer."""
+3 s of fine adjustment (method §3, 'Handoff'), the default with 15 mm after a moment."""
 
 
 def with_gate(settings: ReachPreset, gate: HandoffGate) -> ReachPreset:

@@ -35,7 +35,8 @@ GREY = "#5b6470"
 """Of words."""
 _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
-_LABELS = {"squeeze": (9, -9), "grip": (3, -13)}  # beside a point; policies' are above
+# Of the words beside a point: below the points of these, above those of policies.
+_LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (3, -13)}, (-5, 6)
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
@@ -194,12 +195,9 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
 
 
 def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
-    """Controllers of one family, joined, each with what it was asked for beside it.
-
-    That is above a policy and below the others, over which it should be.
-    """
+    """Controllers of one family, joined, each with what it was asked for beside it."""
     points = sorted(points)
-    x, y = _LABELS.get(points[0].family, (-5, 6))
+    x, y = _LABELS.get(points[0].family, _ABOVE)
     ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
     for point in points:
         low, high = point.interval

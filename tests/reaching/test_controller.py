@@ -103,17 +103,23 @@ def test_a_gate_opens_near_the_targets_and_later_farther_away():
         assert bool(is_ready(gate, *given)) == opens
 
 
-@pytest.mark.parametrize("near", [0.3, np.inf])
-def test_a_hand_that_comes_no_nearer_is_near_enough_after_a_while(reacher, near):
-    gate = HandoffGate(tips=1e-9, near=near, near_tips=0.030)  # no tip comes that near
+def _handed_off(reacher, near):
+    """A reach whose tips never come as near as they should: its handoff's tick, and the gate."""
+    gate = HandoffGate(tips=1e-9, near=near, near_tips=0.030)
     run = _reach(_with(reacher, gate=gate, fine_timeout=np.inf), CENTRE, 700)
-    at = int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF))
-    error, dt = run["error"].max(axis=1), reacher.config.controller.dt
-    if np.isinf(near):
-        assert run["timer"][at] == pytest.approx(gate.late, abs=dt)
-        return
-    first = at - int(np.argmax(error[at::-1] > gate.near_tips)) + 1
-    assert (at - first + 1) * dt == pytest.approx(near, abs=1.1 * dt)  # a sum of float32
+    return run, int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF)), gate
+
+
+def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
+    run, at, gate = _handed_off(reacher, 0.3)
+    first = at - int(np.argmax(run["error"].max(axis=1)[at::-1] > gate.near_tips)) + 1
+    dt = reacher.config.controller.dt
+    assert (at - first + 1) * dt == pytest.approx(0.3, abs=1.1 * dt)  # a sum of float32
+
+
+def test_else_it_hands_off_when_the_time_for_fine_adjustment_is_over(reacher):
+    run, at, gate = _handed_off(reacher, np.inf)
+    assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 
 
 @pytest.mark.parametrize("ends", [True, False])

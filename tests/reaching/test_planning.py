@@ -189,7 +189,11 @@ def test_what_is_in_the_way_and_a_detour_cost_time(planned):
     # Farther out than there is a way for is a detour.
     limit = jnp.asarray(reacher.body.velocity_limit)
     far = guide._replace(q=guide.q.at[1].add(0.5 * limit * jnp.sign(guide.q[1] - home)))
-    assert cost(far, home, away) > cost(guide, home, away) + 0.4
+    longer = cost(far, home, away) - cost(guide, home, away)
+    assert longer > 0.4
+    hasty = jax.jit(replace(planner, config=replace(planner.config, haste=3.0))._way_cost)
+    in_haste = hasty(far, home, away) - hasty(guide, home, away)
+    assert in_haste - longer > 2.0 * 0.4  # of the detour's seconds, three for one
 
 
 def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(planned):

@@ -115,11 +115,12 @@ PARTS = (
             "--episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
-            "offset20 friction04 friction11 light heavy --force-budgets 3 6 "
-            "--squeeze-forces 3 5 8 12 --grip-frictions 0.4 "
+            "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 6 "
+            "--squeeze-forces 2 3 5 8 12 --grip-frictions 0.4 "
             "--processes CORES --out experiments/results/eight_conditions.json",
-            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
-            "--noisy-torque --force-budgets 3 6 --squeeze-forces 3 5 8 12 --grip-frictions 0.4 "
+            "experiments/evaluate_controllers.py --objects-dir SCANS --noisy-torque --conditions "
+            "nominal offset10 offset20 friction04 friction05 friction11 light heavy hard "
+            "--force-budgets 3 6 --squeeze-forces 3 5 8 --grip-frictions 0.4 --episodes 32 "
             "--processes CORES --out experiments/results/eight_noisy.json",
             "experiments/force_figure.py",
         ),

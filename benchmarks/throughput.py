@@ -11,10 +11,10 @@ For each number of worlds it times, on the same device in the same process:
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
 All of them start from one state, taken from a running training after `--warm-up` iterations, so
-that fingers hold objects and contacts are what a training meets. Medians of `--repeats` runs;
-compilation is timed apart.
+that fingers hold objects and contacts are what a training meets. Scene, task and PPO are those of a
+preset of `mjx_grasp.train`. Medians of `--repeats` runs; compilation is timed apart.
 
-  python benchmarks/throughput.py --objects-dir DIR --handoffs FILE --out FILE.json
+  python benchmarks/throughput.py --objects-dir DIR --out FILE.json
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import json
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,7 @@ from brax.training.agents.ppo import networks
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning import ppo
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
@@ -45,19 +46,23 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import build_scene_of, build_world
+from mjx_grasp.training.config import settings_of
 
 
 @dataclass(frozen=True)
 class BenchmarkConfig(CommandSettings):
     """What to measure."""
 
-    handoffs: Path
     out: Path
-    objects: tuple[str, ...] = ("train", "pitcher_base_scaled")
+    preset: Literal["gpu", "paper"] = "gpu"
+    """whose scene, task and PPO are timed"""
+    handoffs: Path | None = None
+    """handoff set; the shipped one by default"""
+    objects: tuple[str, ...] = ("eight",)
     objects_dir: Path | None = None
-    settings: tuple[str, ...] = ("1024x64", "8192x16")
+    """folder of real scans; parametric stand-ins without one"""
+    settings: tuple[str, ...] = ("4096x16", "8192x16")
     """worlds x unroll, taken apart layer by layer"""
     sizes: tuple[str, ...] = ()
     """worlds x unroll of which whole PPO iterations alone are timed"""
@@ -67,8 +72,6 @@ class BenchmarkConfig(CommandSettings):
     ticks: Count = 64
     """control ticks of a timed run of warp, mjx and task"""
     seed: Seed = 0
-    scene: SceneConfig = field(default_factory=lambda: SceneConfig(fix_idle_fingers=True))
-    """as in the gpu preset"""
 
 
 def median_seconds(run: Callable[[], Any], repeats: int) -> float:
@@ -160,12 +163,14 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
 
 def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> dict[str, Any]:
     """The timings of one setting: of whole PPO iterations, and of the layers below if wanted."""
-    task = TaskConfig()
-    robot = load_robot()
-    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene)
-    world = build_world(scene, load_handoffs(config.handoffs, robot=robot), task.control_dt)
-    settings = PPOConfig(worlds=worlds, unroll=unroll)
-    env = BraxTask(world.task("mjx", worlds, task), worlds)
+    preset, robot = settings_of(config.preset), load_robot()
+    scene = build_scene_of(config.objects, config.objects_dir, robot, preset.scene)
+    file = config.handoffs or shipped_handoffs(config.objects_dir)
+    stored = load_handoffs(file, scene.objects, robot)
+    world = build_world(scene, stored, preset.task.control_dt)
+    settings = replace(preset.ppo, worlds=worlds, unroll=unroll)
+    task = world.task("mjx", worlds, preset.task, preset.noise, settings.privileged_critic)
+    env = BraxTask(task, worlds, settings.stagger)
 
     state = ppo.init_state(settings, env, config.seed)
     start = time.perf_counter()
@@ -196,9 +201,11 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
         "peak_bytes": memory.get("peak_bytes_in_use"),
         "mean_constraints": float(jnp.mean(inner.truth.constraints)),
         "max_constraints": int(jnp.max(inner.truth.constraints)),
+        "physics_dt": preset.scene.physics_dt,
+        "substeps": task.physics.substeps,
         "solver_iterations": [
-            config.scene.solver_iterations,
-            config.scene.line_search_iterations,
+            preset.scene.solver_iterations,
+            preset.scene.line_search_iterations,
         ],
         "overflows": float(metrics["overflows"]),
         "compile_s": compile_s,

@@ -37,7 +37,7 @@ from brax.training.agents.ppo import networks
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
-from mjx_grasp.handoff.states import shipped_handoffs
+from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.learning import ppo
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
@@ -167,7 +167,8 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
     scene = build_scene_of(config.objects, config.objects_dir, robot, preset.scene)
     file = config.handoffs or shipped_handoffs(config.objects_dir)
     stored = load_handoffs(file, scene.objects, robot)
-    world = build_world(scene, stored, preset.task.control_dt)
+    states = states_of(stored, scene.object_names, "training")
+    world = build_world(scene, states, preset.task.control_dt)
     settings = replace(preset.ppo, worlds=worlds, unroll=unroll)
     task = world.task("mjx", worlds, preset.task, preset.noise, settings.privileged_critic)
     env = BraxTask(task, worlds, settings.stagger)

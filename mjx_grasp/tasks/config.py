@@ -61,6 +61,9 @@ class RewardConfig(Settings):
     """times the mean finger force in the lift [1/N]"""
     over_budget: Finite = 0.0
     """times the mean finger force since lift onset beyond the force budget [1/N]"""
+    spent: Finite = 0.0
+    """times the mean finger force in the lift as a share of the force budget, up to all of it: what
+    a light object does not need is not spent on it [-]"""
     hard: Finite = 0.0
     """times the largest force on a finger beyond `hard_from`, at any time [1/N]"""
     hard_from: NonNegative = 8.0

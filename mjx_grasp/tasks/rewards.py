@@ -71,6 +71,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),
+        RewardTerm("spent", config.spent, lambda m: jnp.where(m.lifting, spent(m), 0.0)),
         RewardTerm("hard", config.hard, lambda m: hard(m, config)),
     )
     return (*published, *(term for term in optional if term.weight))
@@ -140,6 +141,11 @@ def over_budget(moment: Moment) -> Float[Array, "*b"]:
     gentle before it.
     """
     return jnp.clip(moment.lift_force - moment.budget, 0.0, _MOST_EXCESS_N)
+
+
+def spent(moment: Moment) -> Float[Array, "*b"]:
+    """min(F, B)/B: which share of the budget the mean force per finger is, at most all of it."""
+    return jnp.minimum(mean_force(moment) / moment.budget, 1.0)
 
 
 def hard(moment: Moment, config: RewardConfig) -> Float[Array, "*b"]:

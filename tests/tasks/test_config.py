@@ -120,6 +120,7 @@ def test_what_came_later_changes_nothing_where_it_is_not_asked_for():
         "reward.held": 0.0,
         "reward.force": 0.0,
         "reward.over_budget": 0.0,
+        "reward.spent": 0.0,
         "reward.hard": 0.0,
         "action.grip_range": 1.0,
     }

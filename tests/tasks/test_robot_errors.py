@@ -149,7 +149,8 @@ def test_policies_see_what_their_task_says(scene, starts, seen, size):
 
 
 def test_a_tight_budget_costs_and_a_wide_one_does_not(scene, starts):
-    config = ClosingTaskConfig(reward=RewardConfig(over_budget=-0.5, held=1.0, force=-0.1))
+    prices = RewardConfig(over_budget=-0.5, held=1.0, force=-0.1, spent=-0.3)
+    config = ClosingTaskConfig(reward=prices)
     script = still(starts, [0, 0], 3)
     script.truth.finger_force[..., 2] = 4.0
     script.truth.tip_found[:] = True
@@ -159,6 +160,7 @@ def test_a_tight_budget_costs_and_a_wide_one_does_not(scene, starts):
         state, tick = task.tick(state, jnp.zeros((2, 15)))
     np.testing.assert_allclose(tick.rewards["over_budget"], [-0.5, 0.0], atol=1e-5)
     np.testing.assert_allclose(tick.rewards["force"], -0.4, atol=1e-5)
+    np.testing.assert_allclose(tick.rewards["spent"], [-0.3, -0.2], atol=1e-5)  # all, two thirds
     np.testing.assert_allclose(tick.rewards["held"], 1.0, atol=1e-5)
 
 

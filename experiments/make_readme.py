@@ -103,6 +103,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": stage_tables.grasper_speed(folder / "grasper_cpu.json"),
+            "grasper-worlds": stage_tables.grasper_worlds(
+                sorted(folder.glob("grasper_worlds_*.json"))
+            ),
             "route": stage_tables.route(folder / "route.json"),
             "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
             "tests": stage_tables.tests(folder / "tests_cpu.json"),

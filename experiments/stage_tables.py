@@ -240,6 +240,32 @@ def grasper_speed(path: Path) -> str:
     )
 
 
+def grasper_worlds(paths: Sequence[Path]) -> str:
+    """How fast many whole grasps run at once, against real time."""
+    rows = []
+    for path in paths:
+        d = read_json(path, "a results file")
+        times = d["times_real_time"]
+        plan_ms = 1e3 * d["plan_s"] / d["worlds"]
+        rows.append(
+            (
+                d["provenance"]["device"],
+                f"{d['worlds']:,}",
+                str(len(d["objects"])),
+                f"{1e3 * d['physics_dt']:g}",
+                *(f"{times[what]:.2f}" for what in ("physics", "ticks", "with plans")),
+                f"{plan_ms:.1f}",
+                f"{d['lifted_percent']:.1f}",
+                f"{sum(d['compile_s'].values()):.0f}",
+            )
+        )
+    header = (
+        "device", "worlds", "objects", "physics step ms", "physics alone", "with controllers",
+        "and plans", "a plan ms", "lifted %", "compiling s",
+    )  # fmt: skip
+    return markdown(Table("Many grasps", header, tuple(rows))) if rows else NOTHING
+
+
 _GRASP_COLUMNS = ("trials", "lifted and held %", "up after 9 s %", "lifted s", "force N")
 
 

@@ -385,5 +385,18 @@ def test_the_controllers_time_has_its_table(tmp_path):
     assert values(plans) == ["search for plans", "500", "1", "2"]
 
 
+def test_many_grasps_at_once_have_their_table(tmp_path):
+    path, table = tmp_path / "worlds.json", make_readme.stage_tables.grasper_worlds
+    assert table([]) == make_readme.stage_tables.NOTHING
+    times = {"physics": 1.234, "ticks": 0.9, "with plans": 0.8}
+    record = {
+        "worlds": 4096, "objects": ["a", "b"], "physics_dt": 0.005, "plan_s": 40.96,
+        "times_real_time": times, "lifted_percent": 99.0, "compile_s": {"a": 20.0, "b": 1.0},
+    }  # fmt: skip
+    path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
+    _, _, row = table([path]).splitlines()
+    assert values(row)[1:] == ["4,096", "2", "5", "1.23", "0.90", "0.80", "10.0", "99.0", "21"]
+
+
 def values(line):
     return [cell.strip() for cell in line.strip("|").split("|")]

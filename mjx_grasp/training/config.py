@@ -87,7 +87,7 @@ FEELING = TaskConfig(
     action=ActionConfig(grip_range=3.0, arm_settles=True),
     grip=replace(REACTING, force=1.5),
     observation=ObservationConfig(forces=True, budget=True),
-    reward=RewardConfig(held=4.0, over_budget=-5.0, hard=-0.2),
+    reward=RewardConfig(held=4.0, over_budget=-5.0, spent=-1.0, hard=-0.2),
 )
 """A policy that senses forces and keeps to a budget of them: it moves the fingers of a grip that
 answers to load, and scales its force."""
@@ -96,7 +96,7 @@ VARIED = StartNoise(
     angle_rad=math.radians(5.0),
     friction=(0.4, 1.0),
     mass_scale=(0.8, 1.25),
-    budget_n=(1.0, 6.0),
+    budget_n=(1.0, 8.0),
 )
 """What its training draws anew at each reset."""
 
@@ -124,8 +124,8 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="cpu",
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
-            # So short a training would learn to let go under the price that a long one can bear.
-            task=replace(FEELING, reward=replace(FEELING.reward, over_budget=-1.0)),
+            # So short a training would learn to let go under the prices that a long one can bear.
+            task=replace(FEELING, reward=replace(FEELING.reward, over_budget=-1.0, spent=0.0)),
             noise=replace(VARIED, budget_n=(1.5, 6.0)),
             objects=("rubiks_cube",),
             handoffs_per_object=192,

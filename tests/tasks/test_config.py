@@ -243,6 +243,7 @@ TASK_THAT_FEELS = {
     "observation.budget": True,
     "reward.held": 4.0,
     "reward.over_budget": -5.0,
+    "reward.spent": -1.0,
     "reward.hard": -0.2,
 }
 """What a policy that feels has otherwise."""
@@ -260,7 +261,7 @@ def test_presets_change_what_they_must_and_no_more(monkeypatch, gpu):
             == task
             | {
                 "paper": TASK_OF_PAPER,
-                "cpu": TASK_THAT_FEELS | {"reward.over_budget": -1.0},
+                "cpu": TASK_THAT_FEELS | {"reward.over_budget": -1.0, "reward.spent": 0.0},
                 "gpu": TASK_THAT_FEELS,
             }[name]
         )

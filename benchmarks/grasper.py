@@ -23,8 +23,9 @@ import tyro
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.grasps.config import ClosingController
 from mjx_grasp.evaluation.grasps.problems import draw_problem
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
@@ -52,8 +53,10 @@ class GrasperBenchmarkConfig(ObjectsConfig):
     """results file"""
     grasps: Count = 2
     """of each object [-]"""
+    controller: ClosingController = "policy"
+    """what closes: a policy on top of a grip that answers to load, or that grip alone"""
     policy: Path | None = None
-    """what corrects the closing; the untrained grip alone without one"""
+    """policy file; the shipped one by default"""
     seed: Seed = 0
     """of the poses"""
 
@@ -64,7 +67,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
     if hasattr(os, "sched_setaffinity"):  # not on macOS
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX makes its threads
     made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
-    grasper = loaded_grasper(robot, config.policy)
+    grasper = loaded_grasper(robot, closing_policy(config.controller, config.policy))
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
     library = start_library(grasper.reacher.body, grasper.planner.config)
     physics = NativePhysics(build_scene(objects, robot), grasper.dt, threads=1)

@@ -23,12 +23,12 @@ import tyro
 from jaxtyping import Array, Int
 from rich.console import Console
 
-from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.config import ClosingController
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
@@ -67,10 +67,8 @@ class WorldsBenchmarkConfig(ObjectsConfig):
     physics_dt: Positive = SceneConfig().physics_dt
     """physics step [s]"""
     engine: Engine = "mjx"
-    with_policy: bool = True
-    """whether the shipped policy corrects the closing"""
-    force_budget: Positive = 6.0
-    """that it is given [N]"""
+    controller: ClosingController = "policy"
+    """what closes: the shipped policy on top of a grip that answers to load, or that grip alone"""
     plan_batch: Count = 128
     """worlds that are planned for at once"""
     seed: Seed = 0
@@ -93,8 +91,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
     """Grasps, times, writes."""
     check_writable("--out", config.out)
     made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
-    policy = asset_path("policy.npz") if config.with_policy else None
-    grasper = loaded_grasper(robot, policy, config.force_budget)
+    grasper = loaded_grasper(robot, closing_policy(config.controller, None))
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
     if config.worlds % len(objects):
         raise InputError("--worlds", config.worlds, f"a multiple of the {len(objects)} objects")
@@ -113,7 +110,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
         "worlds": config.worlds,
         "objects": [obj.name for obj in objects],
         "physics_dt": config.physics_dt,
-        "with_policy": config.with_policy,
+        "controller": config.controller,
         **measurements,
         "provenance": made,
     }

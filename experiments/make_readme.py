@@ -75,6 +75,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
+            "choice": policy_tables.choice(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),
             "end-to-end": end_to_end_tables.success_from_home(folder),

@@ -163,8 +163,8 @@ PARTS = (
         "scenarios",
         "whole grasps from home, with what the hardware demonstrations show",
         (
-            "-m mjx_grasp.scenarios --objects-dir SCANS --controller policy --force-budget 6 "
-            "--episodes 6 --seed 9 --out experiments/results/scenarios.json",
+            "-m mjx_grasp.scenarios --objects-dir SCANS --force-budget 8 --episodes 6 --seed 9 "
+            "--out experiments/results/scenarios.json",
         ),
     ),
     Part(

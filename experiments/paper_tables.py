@@ -161,7 +161,7 @@ def _lifts_more(folder: Path) -> Claim | None:
         f"{paper.MEAN[0]:.1f} % against {paper.MEAN[1]:.1f} %",
         f"{policy:.1f} % against {squeeze:.1f} %",
         policy > squeeze,
-        "it also presses harder; what counts is success at the same force",
+        "what counts is success at the same force",
     )
 
 
@@ -176,7 +176,8 @@ def _fair_opponent(folder: Path) -> Claim | None:
         "no forces given",
         f"{policy:.1f} N per finger against {squeeze:.1f} N",
         abs(policy - squeeze) < 0.1 * policy,
-        "commanded force is not contact force: the squeeze is a spring that lets go",
+        "commanded force is not contact force: a squeeze is a spring that lets go, and a policy "
+        "need not spend its budget",
     )
 
 

@@ -124,6 +124,44 @@ def policies(folder: Path, shipped: Path) -> str:
     return markdown(Table("Policies", header, tuple(lines), names=4)) if lines else NOTHING
 
 
+_COMMON = ("preset", "objects-dir", "evaluation-episodes", "loop.checkpoint-every-s")
+_COMMON += ("handoffs", "seed", "out")
+"""flags of a training that do not tell one from another here"""
+
+
+def choice(folder: Path) -> str:
+    """Policies from states of the training set, among which one to ship is chosen.
+
+    Args:
+        folder: The results files; those of the choice are in its `choice`, by the run's name.
+    """
+    paths = sorted((folder / "choice").glob("*.json"))
+    if not paths:
+        return NOTHING
+    trained = {row["run"]: row for row in run_rows(folder / "training_runs.json")}
+    lines, conditions = [], sorted({c for p in paths for c in read_groups([p])}, key=_ease)
+    for path in sorted(paths, key=lambda p: list(trained).index(p.stem)):
+        row, groups = trained[path.stem], read_groups([path])
+        for columns in zip(*(groups[c] for c in conditions), strict=True):
+            (budget,) = {r.force_budget_n for c in columns for r in c.rows.values()}
+            cells = (f"{c.mean()[0]:.1f} at {c.forces()[0]:.2f}" for c in columns)
+            lines.append((path.stem, _flags(row), str(row["seed"]), f"{budget:g}", *cells))
+    header = ("run", "what differs", "seed", "budget N", *(c.short() for c in conditions))
+    return markdown(Table("Choice", header, tuple(lines), names=2))
+
+
+def _ease(condition: Condition) -> tuple[float, float]:
+    return -condition.friction, condition.offset_mm
+
+
+def _flags(row: dict[str, Any]) -> str:
+    """The flags of a training's command that are its own."""
+    words = shlex.split(row["provenance"]["command"])
+    parts = " ".join(words[words.index("mjx_grasp.train") + 1 :]).split("--")[1:]
+    own = (part.strip() for part in parts if part.split()[0] not in _COMMON)
+    return ", ".join(f"`{part}`" for part in own)
+
+
 _ABLATION = (
     "Runs of the preset `gpu` as it was when force above the budget cost a fifth of today's price, "
     "with {steps:.1f} M steps, that differ from it as the first column "

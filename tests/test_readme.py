@@ -228,6 +228,30 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
     assert f"{run_name} 50.0 (38–62) | 3.0 | 75.0 at 2.0 N |" in detail
 
 
+def test_what_was_chosen_among_stands_in_the_order_of_the_runs(tmp_path):
+    command = (
+        "python -m mjx_grasp.train --preset gpu --task.reward.spent -1 --seed {} --out runs/{}"
+    )
+    rows = [
+        {"run": name, "seed": seed, "provenance": {"command": command.format(seed, name)}}
+        for seed, name in enumerate(("second", "first"))
+    ]
+    runs = {"schema": "mjx_grasp.training_runs/1", "provenance": PROVENANCE, "rows": rows}
+    (tmp_path / "training_runs.json").write_text(json.dumps(runs))
+    (tmp_path / "choice").mkdir()
+    for name, successes in (("first", 48), ("second", 16)):
+        tried = replace(result("apple", successes, 5.0), force_budget_n=3.0)
+        hard = replace(result("apple", 0, 10.0), friction=0.5, force_budget_n=3.0)
+        path = tmp_path / "choice" / f"{name}.json"
+        write_results(path, [tried, hard], PROVENANCE, FIRST_ROBOT)
+    _, _, *lines = make_readme.policy_tables.choice(tmp_path).splitlines()
+    flag = "`task.reward.spent -1`"
+    assert [values(line) for line in lines] == [
+        ["second", flag, "0", "3", "25.0 at 4.25", "0.0 at 4.25"],
+        ["first", flag, "1", "3", "75.0 at 4.25", "0.0 at 4.25"],
+    ]
+
+
 def test_a_claim_is_judged_by_what_the_files_hold(root):
     """The policy lifts more than the squeeze here, as published, and slips as often."""
     results = root / "experiments" / "results"

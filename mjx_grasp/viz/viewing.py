@@ -16,7 +16,8 @@ import trimesh
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.config import ClosingController, check_closing
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
@@ -59,13 +60,16 @@ class ViewConfig(MeshConfig):
     """of each mesh of your own on the live page [kg]"""
     density: Positive | None = None
     """of them, instead of a mass; 500 if neither is given [kg/m^3]"""
-    policy: Path | None = None
-    """policy file that corrects the closing on the live page; by default the answering grip closes
+    controller: ClosingController = "policy"
+    """what closes on the live page: a policy on top of a grip that answers to load, or that grip
     alone"""
+    policy: Path | None = None
+    """policy file; the shipped one by default"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         Weight(self.mass, self.density)  # refuses both
+        check_closing(self.controller, self.policy)
         for name in ("also", "objects_dir", "mass", "density", "policy"):
             if getattr(self, name) and not self.live:
                 flag = f"--{name.replace('_', '-')}"
@@ -132,7 +136,8 @@ def load_live(config: ViewConfig) -> LiveGrasp:
     """
     robot = load_robot(config.robot)
     # With scores of an anchor the best half decides; without one that is no loss.
-    grasper = loaded_grasper(robot, config.policy, steered=True)
+    file = closing_policy(config.controller, config.policy)
+    grasper = loaded_grasper(robot, file, steered=True)
     names = [str(config.mesh), *config.also]
     weight = Weight(config.mass, config.density)
     scene = build_scene(load_objects(names, config.objects_dir, weight=weight), robot)

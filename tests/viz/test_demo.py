@@ -1,6 +1,7 @@
 """A demo's stage, curves and page, of a grasp that is made up."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import handmade
 import mujoco
@@ -79,6 +80,8 @@ def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
 def test_an_instruction_and_a_point_are_one_too_many():
     with pytest.raises(InputError, match="--instruction and --anchor"):
         DemoConfig(instruction="by the cap", anchor=(0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"--policy.*none beside --controller grip"):
+        DemoConfig(controller="grip", policy=Path("policy.npz"))
     assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers
 
 

@@ -6,8 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
+
+ClosingController = Literal["policy", "grip"]
+"""what closes: a policy on top of a grip that answers to load, or that grip alone"""
+BUDGET_N = 6.0
+"""Force budget of whole grasps by default: what light objects do not need is not spent on them."""
+
+
+def check_closing(controller: ClosingController, policy: Path | None) -> None:
+    """Refuses a policy beside the grip alone.
+
+    Raises:
+        InputError: There is one.
+    """
+    if controller == "grip" and policy is not None:
+        raise InputError("--policy", policy, "none beside --controller grip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +38,7 @@ class GraspsConfig(ObjectsConfig):
     """of the poses, the plans and what happens"""
     policy: Path | None = None
     """policy file; the shipped one by default"""
-    force_budget: Positive = 3.0
+    force_budget: Positive = BUDGET_N
     """mean force per finger that a policy which knows a budget may take [N]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
@@ -34,5 +50,9 @@ class ScenariosConfig(GraspsConfig):
 
     out: Annotated[Path, Suffix((".json",))]
     """results file (.json); one that an interrupted run left is gone on with"""
-    controller: Literal["grip", "policy"] = "grip"
-    """what closes: a grip that answers to load, or a policy on top of it"""
+    controller: ClosingController = "policy"
+    """what closes: a policy on top of a grip that answers to load, or that grip alone"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_closing(self.controller, self.policy)

@@ -10,13 +10,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
-from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
 from mjx_grasp.evaluation.grasps.results import as_record
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
@@ -44,7 +43,7 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     """
     check_writable("--out", config.out)
     scenarios = load_scenarios(config.scenarios)
-    file = config.policy or asset_path("policy.npz") if config.controller == "policy" else None
+    file = closing_policy(config.controller, config.policy)
     makers = Makers(config, load_robot(config.robot))
     made, settings = provenance(config.seed), to_record(config)
 

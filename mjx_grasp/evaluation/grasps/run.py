@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
@@ -14,10 +16,15 @@ from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 
+def closing_policy(controller: ClosingController, file: Path | None) -> Path | None:
+    """The policy that closes: the shipped one where no other is named; None for the grip alone."""
+    return None if controller == "grip" else file or asset_path("policy.npz")
+
+
 def loaded_grasper(
     robot: RobotSpec,
     file: Path | None = None,
-    budget: float = 3.0,
+    budget: float = BUDGET_N,
     steered: bool = False,
     approach: Approach = "any",
 ) -> Grasper:
@@ -40,7 +47,7 @@ def loaded_grasper(
 
 
 def loaded_policy(
-    robot: RobotSpec, file: Path, budget: float = 3.0
+    robot: RobotSpec, file: Path, budget: float = BUDGET_N
 ) -> tuple[ClosingTaskConfig, LearnedPolicy]:
     """A policy, and the settings of closing that it was trained with.
 

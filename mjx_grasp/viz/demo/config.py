@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController, check_closing
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.objects.config import Weight
@@ -42,14 +43,19 @@ class DemoConfig(CommandSettings):
     """of a mesh of your own [kg]"""
     density: Positive | None = None
     """of a mesh of your own, instead of a mass; 500 if neither is given [kg/m^3]"""
+    controller: ClosingController = "policy"
+    """what closes: a policy on top of a grip that answers to load, or that grip alone"""
     policy: Path | None = None
-    """policy file that corrects the closing; by default the answering grip closes alone"""
+    """policy file; the shipped one by default"""
+    force_budget: Positive = BUDGET_N
+    """mean force per finger that a policy which knows a budget may take [N]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         Weight(self.mass, self.density)  # refuses both
+        check_closing(self.controller, self.policy)
         if self.instruction is not None and self.anchor is not None:
             raise InputError("--instruction and --anchor", "both", "one of them at most")
 

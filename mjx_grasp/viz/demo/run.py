@@ -21,7 +21,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all, home_tips
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL, load_scenarios
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
@@ -33,7 +33,7 @@ from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
-from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.robot.spec import HandSpec, load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import Scene, build_scene
@@ -98,9 +98,9 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     ((name, scenario),) = load_scenarios([config.scenario]).items()
     made = provenance(config.seed)
     robot = load_robot(config.robot).mounted(-scenario.table_height)
-    grasper = loaded_grasper(
-        robot, config.policy, steered=config.steers, approach=scenario.approach
-    )
+    file = closing_policy(config.controller, config.policy)
+    budget, approach = config.force_budget, scenario.approach
+    grasper = loaded_grasper(robot, file, budget, config.steers, approach)
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     place = _place(obj, config)
@@ -129,6 +129,9 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             problem_of_film = _film(scene, skin, trace, grasper.dt, config.out)
         result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
         result["scenario"] = {"name": name, "description": scenario.description}
+        result["closing"] = {"controller": config.controller} | (
+            {"force_budget_n": budget, "sha256": file_digests(policy=file)} if file else {}
+        )
         with clock.step("page"):
             shown = Shown(
                 title=_title(obj, steered, scenario.description if name != NOMINAL else None),

@@ -2,8 +2,10 @@ import importlib.util
 import json
 import re
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -281,6 +283,26 @@ def test_stale_sections_fail_the_check_and_stay(root):
     assert (root / "README.md").read_text() == before
     run(root)
     assert "| policy | 93.8 |" in (root / "README.md").read_text()
+
+
+def revisions(content):
+    """Every revision that a results file names, of what it took over too."""
+    if isinstance(content, dict):
+        if isinstance(content.get("git"), str):
+            yield content["git"].removesuffix("-dirty")
+        content = list(content.values())
+    for part in content if isinstance(content, list) else ():
+        yield from revisions(part)
+
+
+def test_the_revision_of_every_result_is_in_the_history():
+    git = partial(subprocess.run, cwd=ROOT, capture_output=True, text=True)
+    if git(["git", "rev-parse", "--is-shallow-repository"]).stdout.strip() != "false":
+        pytest.skip("the history is not here")
+    history = set(git(["git", "rev-list", "HEAD"]).stdout.split())
+    for path in (ROOT / "experiments" / "results").rglob("*.json"):
+        named = set(revisions(json.loads(path.read_text())))
+        assert named <= history, path.name
 
 
 def test_what_is_written_by_hand_survives(root):

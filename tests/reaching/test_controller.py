@@ -38,21 +38,23 @@ def _with(reacher, **fields):
     return replace(reacher, config=replace(reacher.config, controller=controller))
 
 
-def _reach(reacher, centre, ticks, shape=SHAPE, candidates=None, plans=None):
+def _reach(reacher, centre, ticks, shape=SHAPE, candidates=None, plans=None, drift=0.0):
+    """Kinematically, while the object drifts along y by so many m/s."""
     candidates = _candidates(reacher.body) if candidates is None else candidates
     q = jnp.asarray(reacher.body.home)
     state = reacher.start(q, candidates, centre, UPRIGHT, plans)
 
-    def tick(carry, _):
+    def tick(carry, k):
         state, q = carry
-        state, done = reacher.tick(state, q, shape, candidates, centre, UPRIGHT, NONE, plans)
+        there = centre.at[1].add(drift * reacher.config.controller.dt * k)
+        state, done = reacher.tick(state, q, shape, candidates, there, UPRIGHT, NONE, plans)
         q = q + reacher.config.controller.dt * done.velocity
         report = done.report
         kept = state.outcome, state.timer, state.tries, done.velocity, done.targets.candidate
         found = report.error, report.midpoint, report.object_distance, done.ready
         return (state, q), (*kept, *found, q)
 
-    run = jax.jit(lambda c: jax.lax.scan(tick, c, length=ticks)[1])
+    run = jax.jit(lambda c: jax.lax.scan(tick, c, jnp.arange(ticks))[1])
     names = [
         "outcome",
         "timer",
@@ -103,10 +105,11 @@ def test_a_gate_opens_near_the_targets_and_later_farther_away():
         assert bool(is_ready(gate, *given)) == opens
 
 
-def _handed_off(reacher, near):
+def _handed_off(reacher, near, drift=0.0):
     """A reach whose tips never come as near as they should: its handoff's tick, and the gate."""
     gate = HandoffGate(tips=1e-9, near=near, near_tips=0.030)
-    run = _reach(_with(reacher, gate=gate, fine_timeout=np.inf), CENTRE, 700)
+    patient = _with(reacher, gate=gate, fine_timeout=np.inf)
+    run = _reach(patient, CENTRE, 700, drift=drift)
     return run, int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF)), gate
 
 
@@ -117,8 +120,9 @@ def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
     assert (at - first + 1) * dt == pytest.approx(0.3, abs=1.1 * dt)  # a sum of float32
 
 
-def test_else_it_hands_off_when_the_time_for_fine_adjustment_is_over(reacher):
-    run, at, gate = _handed_off(reacher, np.inf)
+@pytest.mark.parametrize(("near", "drift"), [(np.inf, 0.0), (0.3, 0.02)])
+def test_else_or_beside_what_moves_it_hands_off_when_time_is_over(reacher, near, drift):
+    run, at, gate = _handed_off(reacher, near, drift)
     assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 
 

@@ -67,7 +67,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
     if hasattr(os, "sched_setaffinity"):  # not on macOS
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX makes its threads
     made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
-    grasper = loaded_grasper(robot, closing_policy(config.controller, config.policy))
+    grasper = loaded_grasper(robot, closing_policy(config.controller, config.policy, robot))
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
     library = start_library(grasper.reacher.body, grasper.planner.config)
     physics = NativePhysics(build_scene(objects, robot), grasper.dt, threads=1)
@@ -114,7 +114,11 @@ def main(config: GrasperBenchmarkConfig) -> None:
                     break
     record = {phase.name.lower(): summed(times[1:]) for phase, times in ticks.items()}
     every = [t for times in ticks.values() for t in times[1:]]
-    result = {"tick_ms": record | {"all": summed(every)}, "plan_ms": summed(plans[1:])}
+    result = {
+        "controller": config.controller,
+        "tick_ms": record | {"all": summed(every)},
+        "plan_ms": summed(plans[1:]),
+    }
     write_json(config.out, {"schema": "mjx_grasp.grasper/1", **result, "provenance": made})
     console.print(result)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ ON_WALLS = (
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
     "a CUDA graph), the same called from JAX, the task around it, the policy's actions and the "
-    "resets, PPO's updates. Then parts of one physics step, of which a tick has five, and the "
+    "resets, PPO's updates. Then parts of one physics step, and the "
     "speed of the whole loop as a share of MuJoCo Warp's:"
 )
 _GRAVITY = 9.81  # m/s²
@@ -125,6 +126,27 @@ def all_conditions(paths: Sequence[Path]) -> str:
     parts += [f"### {table.title}", ON_WALLS, markdown(table)]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
+
+
+def conditions(folder: Path) -> str:
+    """Policy and grip against the baselines at equal force, one condition after the other.
+
+    Args:
+        folder: The results files.
+    """
+    groups = read_groups(sorted(folder.glob("*.json")))
+    if not groups:
+        return NOTHING
+    table = equal_force_table(groups)
+    engine = _common(next(iter(groups)))
+    rows = tuple((row[0].removeprefix(engine), *row[1:]) for row in table.rows)
+    objects = counted(len(next(iter(groups)).objects), "object")
+    return f"{objects}, {engine.rstrip(', ')}:\n\n" + markdown(replace(table, rows=rows))
+
+
+def _common(condition: Condition) -> str:
+    """What a condition's words begin with: engine and start states."""
+    return condition.short().partition("±")[0]
 
 
 def least_forces(names: Sequence[str]) -> Table:

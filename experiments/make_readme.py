@@ -65,6 +65,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         root / "docs" / "reproduction.md": {"claims": paper_tables.claims(folder)},
         root / "experiments" / "README.md": {
             "tables": closing_tables.all_conditions(results),
+            "conditions": closing_tables.conditions(folder / "conditions"),
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "handoffs": closing_tables.shipped_handoffs(folder),

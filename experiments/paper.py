@@ -115,13 +115,13 @@ PARTS = (
             "--episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
-            "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 6 "
+            "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 8 "
             "--squeeze-forces 2 3 5 8 12 --grip-frictions 0.4 "
-            "--processes CORES --out experiments/results/eight_conditions.json",
+            "--processes CORES --out experiments/results/conditions/exact.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --noisy-torque --conditions "
             "nominal offset10 offset20 friction04 friction05 friction11 light heavy hard "
-            "--force-budgets 3 6 --squeeze-forces 3 5 8 --grip-frictions 0.4 --episodes 32 "
-            "--processes CORES --out experiments/results/eight_noisy.json",
+            "--force-budgets 3 8 --squeeze-forces 3 5 8 --grip-frictions 0.4 --episodes 32 "
+            "--processes CORES --out experiments/results/conditions/noisy.json",
             "experiments/force_figure.py",
         ),
     ),
@@ -163,7 +163,7 @@ PARTS = (
         "scenarios",
         "whole grasps from home, with what the hardware demonstrations show",
         (
-            "-m mjx_grasp.scenarios --objects-dir SCANS --force-budget 8 --episodes 6 --seed 9 "
+            "-m mjx_grasp.scenarios --objects-dir SCANS --episodes 6 --seed 9 "
             "--out experiments/results/scenarios.json",
         ),
     ),

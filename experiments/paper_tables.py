@@ -171,13 +171,15 @@ def _fair_opponent(folder: Path) -> Claim | None:
         return None
     policy = float(np.mean([row.force_mean_n for row in both[0]]))
     squeeze = float(np.mean([row.force_mean_n for row in both[1]]))
+    fair = abs(policy - squeeze) < 0.1 * policy
     return Claim(
         "a squeeze of 3 N is the opponent to compare with",
         "no forces given",
         f"{policy:.1f} N per finger against {squeeze:.1f} N",
-        abs(policy - squeeze) < 0.1 * policy,
-        "commanded force is not contact force: a squeeze is a spring that lets go, and a policy "
-        "need not spend its budget",
+        fair,
+        "so much of this budget is what the policy happens to spend"
+        if fair
+        else "commanded force is not contact force: the squeeze is a spring that lets go",
     )
 
 

@@ -144,9 +144,17 @@ def choice(folder: Path) -> str:
         row, groups = trained[path.stem], read_groups([path])
         for columns in zip(*(groups[c] for c in conditions), strict=True):
             (budget,) = {r.force_budget_n for c in columns for r in c.rows.values()}
+            if budget is None:
+                raise FileError(path, "a policy without a force budget", "one that is given some")
             cells = (f"{c.mean()[0]:.1f} at {c.forces()[0]:.2f}" for c in columns)
             lines.append((path.stem, _flags(row), str(row["seed"]), f"{budget:g}", *cells))
-    header = ("run", "what differs", "seed", "budget N", *(c.short() for c in conditions))
+    header = (
+        "run",
+        "differs from `budget-0` in",
+        "seed",
+        "budget N",
+        *(c.short() for c in conditions),
+    )
     return markdown(Table("Choice", header, tuple(lines), names=2))
 
 
@@ -221,9 +229,11 @@ def named_run(path: Path) -> str | None:
 
 
 def _run_of(path: Path, shipped: Path) -> str:
-    """The same, the shipped policy's run where no policy is named."""
+    """The same; where no policy is named that of the file, or of the policy that is shipped now."""
     if (run := named_run(path)) is not None:
         return run
+    if path.parent.name == "seeds":  # shipped before
+        return path.stem
     made = shlex.split(str(load_policy(shipped).meta["provenance"]["command"]))
     if "--out" not in made:
         raise FileError(shipped, "a command without --out", "the run that made the policy")

@@ -191,7 +191,15 @@ def whole_grasps(path: Path) -> str:
         *("object", *_GRASP_COLUMNS),
         *("not reached", "lost", "tips mm"),
     )
-    return markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+    return _closed_by(d) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+
+
+def _closed_by(record: dict[str, Any]) -> str:
+    """What closed the grasps of a file."""
+    config = record["config"]
+    if config["controller"] == "grip":
+        return "Closed by the untrained grip alone:\n\n"
+    return f"Closed by the policy, with a force budget of {config['force_budget']:g} N:\n\n"
 
 
 def scenarios(path: Path) -> str:

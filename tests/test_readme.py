@@ -411,8 +411,12 @@ def test_whole_grasps_have_their_table(tmp_path):
     path, tables = tmp_path / "scenarios.json", make_readme.stage_tables
     for table in (tables.whole_grasps, tables.scenarios):
         assert table(path) == tables.NOTHING
-    path.write_text(json.dumps({"scenarios": {"nominal": nominal}}))
-    _, _, cube, every = tables.whole_grasps(path).splitlines()
+    config = {"controller": "policy", "force_budget": 8.0}
+    path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
+    said, _, _, _, cube, every = tables.whole_grasps(path).splitlines()
+    assert said == "Closed by the policy, with a force budget of 8 N:"
+    path.write_text(path.read_text().replace("policy", "grip"))
+    assert tables.whole_grasps(path).startswith("Closed by the untrained grip alone:")
     cells = ["8", "87.5 (53–98)", "75.0", "3.1", "2.5", "1", "1"]
     assert values(cube) == ["rubiks cube", *cells, "7.0 / 5.5 / 5.0"]
     assert every.startswith("| **all** | **80** |")

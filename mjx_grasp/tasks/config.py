@@ -62,8 +62,8 @@ class RewardConfig(Settings):
     over_budget: Finite = 0.0
     """times the mean finger force since lift onset beyond the force budget [1/N]"""
     spent: Finite = 0.0
-    """times the mean finger force in the lift as a share of the force budget, up to all of it: what
-    a light object does not need is not spent on it [-]"""
+    """times the fingers' mean force at a tick of the lift as a share of the force budget, at most
+    1: so that light objects are pressed less than heavy ones [-]"""
     hard: Finite = 0.0
     """times the largest force on a finger beyond `hard_from`, at any time [1/N]"""
     hard_from: NonNegative = 8.0

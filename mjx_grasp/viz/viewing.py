@@ -70,10 +70,10 @@ class ViewConfig(MeshConfig):
         super().__post_init__()
         Weight(self.mass, self.density)  # refuses both
         check_closing(self.controller, self.policy)
-        for name in ("also", "objects_dir", "mass", "density", "policy"):
-            if getattr(self, name) and not self.live:
-                flag = f"--{name.replace('_', '-')}"
-                raise InputError(flag, getattr(self, name), "--live beside it")
+        for name in ("also", "objects_dir", "mass", "density", "controller", "policy"):
+            value = getattr(self, name)
+            if value not in (None, (), "policy") and not self.live:
+                raise InputError(f"--{name.replace('_', '-')}", value, "--live beside it")
 
 
 def serve(config: ViewConfig, say: Callable[[str], None]) -> None:
@@ -135,8 +135,8 @@ def load_live(config: ViewConfig) -> LiveGrasp:
         FileError: A mesh, a scan or the policy cannot be used.
     """
     robot = load_robot(config.robot)
+    file = closing_policy(config.controller, config.policy, robot)
     # With scores of an anchor the best half decides; without one that is no loss.
-    file = closing_policy(config.controller, config.policy)
     grasper = loaded_grasper(robot, file, steered=True)
     names = [str(config.mesh), *config.also]
     weight = Weight(config.mass, config.density)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps import circumstances, problems, rollout
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
@@ -18,6 +20,7 @@ from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem
+from mjx_grasp.evaluation.grasps.run import closing_policy
 from mjx_grasp.evaluation.grasps.scenario import (
     BeltConfig,
     ObstacleConfig,
@@ -36,6 +39,7 @@ from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import PALM
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import make_params
 from mjx_grasp.sim.scene import build_scene
@@ -315,6 +319,22 @@ def test_what_cannot_work_is_refused_before_anything_long_starts(tmp_path):
     with pytest.raises(FileError, match="no results of scenarios"):
         run_scenarios(ScenariosConfig(out=out), console)
     assert out.read_text() == "{}"
+
+
+def test_the_included_policy_closes_unless_something_else_is_named():
+    robot, file = load_robot(), Path("own.npz")
+    assert closing_policy("policy", None, robot) == asset_path("policy.npz")
+    assert closing_policy("policy", file, robot) == file
+    assert closing_policy("grip", None, robot) is None
+    with pytest.raises(InputError, match=r"own\.npz.*none beside --controller grip"):
+        ScenariosConfig(controller="grip", policy=file, out=Path("out.json"))
+
+
+def test_a_robot_without_a_policy_is_told_what_to_do():
+    other = load_robot(Path(__file__).resolve().parents[2] / "examples/robot/six_axis.yaml")
+    assert closing_policy("grip", None, other) is None
+    with pytest.raises(InputError, match=r"--robot: found 'six_axis.*--controller grip"):
+        closing_policy("policy", None, other)
 
 
 def command(*arguments):

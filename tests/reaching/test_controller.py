@@ -121,7 +121,7 @@ def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
 
 
 @pytest.mark.parametrize(("near", "drift"), [(np.inf, 0.0), (0.3, 0.02)])
-def test_else_or_beside_what_moves_it_hands_off_when_time_is_over(reacher, near, drift):
+def test_without_that_rule_or_with_a_moving_object_it_waits_for_the_time_out(reacher, near, drift):
     run, at, gate = _handed_off(reacher, near, drift)
     assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 

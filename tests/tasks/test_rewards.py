@@ -183,3 +183,16 @@ def test_a_hard_finger_costs_beyond_a_force_up_to_a_bound():
 
     assert cost(5.9) == 0.0
     np.testing.assert_allclose([cost(8.0), cost(-8.0, True), cost(500.0)], [2, 2, 10], rtol=1e-5)
+
+
+def test_what_is_spent_is_a_share_of_the_budget_and_paid_in_the_lift_alone():
+    (spent,) = [t for t in rewards.closing_terms(RewardConfig(spent=-2.0)) if t.name == "spent"]
+
+    def share(force, lifting=True, budget=4.0):
+        at = moment(lifting=lifting, budget=budget)
+        fingers = jnp.zeros((3, 3)).at[:, 1].set(force)
+        return float(spent.value(at._replace(truth=at.truth._replace(finger_force=fingers))))
+
+    assert spent.weight == -2.0 and share(3.0, lifting=False) == 0.0
+    np.testing.assert_allclose([share(1.0), share(3.0), share(300.0)], [0.25, 0.75, 1.0], rtol=1e-5)
+    np.testing.assert_allclose(share(1.0, budget=8.0), 0.125, rtol=1e-5)

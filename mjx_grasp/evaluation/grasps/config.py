@@ -12,8 +12,9 @@ from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
-BUDGET_N = 6.0
-"""Force budget of whole grasps by default: what light objects do not need is not spent on them."""
+BUDGET_N = 8.0
+"""Force budget of whole grasps by default, the largest of the shipped policy's training; light
+objects take a part of it [N]."""
 
 
 def check_closing(controller: ClosingController, policy: Path | None) -> None:

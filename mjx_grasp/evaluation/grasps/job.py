@@ -43,8 +43,9 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     """
     check_writable("--out", config.out)
     scenarios = load_scenarios(config.scenarios)
-    file = closing_policy(config.controller, config.policy)
-    makers = Makers(config, load_robot(config.robot))
+    own = load_robot(config.robot)
+    file = closing_policy(config.controller, config.policy, own)
+    makers = Makers(config, own)
     made, settings = provenance(config.seed), to_record(config)
 
     def make(robot: RobotSpec, approach: Approach) -> Grasper:

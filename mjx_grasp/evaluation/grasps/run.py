@@ -6,9 +6,10 @@ from pathlib import Path
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.learned import LearnedPolicy
-from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController
+from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController, check_closing
 from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
@@ -16,9 +17,26 @@ from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 
-def closing_policy(controller: ClosingController, file: Path | None) -> Path | None:
-    """The policy that closes: the shipped one where no other is named; None for the grip alone."""
-    return None if controller == "grip" else file or asset_path("policy.npz")
+def closing_policy(
+    controller: ClosingController, file: Path | None, robot: RobotSpec
+) -> Path | None:
+    """The policy that closes: the shipped one where no other is named; None for the grip alone.
+
+    Raises:
+        InputError: A policy beside the grip alone, or none is named and the shipped one is of
+            another robot.
+    """
+    check_closing(controller, file)
+    if controller == "grip" or file is not None:
+        return file
+    shipped = asset_path("policy.npz")
+    trained = load_policy(shipped).robot
+    if not trained.agrees(robot.identity):
+        expected = (
+            f"{trained}, whose policy is included; for another, --policy or --controller grip"
+        )
+        raise InputError("--robot", str(robot.identity), expected)
+    return shipped
 
 
 def loaded_grasper(

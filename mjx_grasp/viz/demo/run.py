@@ -98,7 +98,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     ((name, scenario),) = load_scenarios([config.scenario]).items()
     made = provenance(config.seed)
     robot = load_robot(config.robot).mounted(-scenario.table_height)
-    file = closing_policy(config.controller, config.policy)
+    file = closing_policy(config.controller, config.policy, robot)
     budget, approach = config.force_budget, scenario.approach
     grasper = loaded_grasper(robot, file, budget, config.steers, approach)
     assert grasper.planner is not None
@@ -129,9 +129,12 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             problem_of_film = _film(scene, skin, trace, grasper.dt, config.out)
         result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
         result["scenario"] = {"name": name, "description": scenario.description}
-        result["closing"] = {"controller": config.controller} | (
-            {"force_budget_n": budget, "sha256": file_digests(policy=file)} if file else {}
-        )
+        knows_budget = grasper.policy is not None and grasper.policy.observation.budget
+        result["closing"] = {
+            "controller": config.controller,
+            "force_budget_n": budget if knows_budget else None,
+            "sha256": file_digests(policy=file),
+        }
         with clock.step("page"):
             shown = Shown(
                 title=_title(obj, steered, scenario.description if name != NOMINAL else None),

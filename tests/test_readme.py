@@ -221,6 +221,8 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
         policy = replace(result("apple", 32, 5.0), force_mean_n=force)
         starts = drawn | {"sha256": {"handoffs": states}}
         write_results(results / "seeds" / f"{name}.json", [policy], made, FIRST_ROBOT, **starts)
+    before = replace(result("apple", 32, 5.0), force_mean_n=1.0)
+    write_results(results / "seeds" / "many.json", [before], alone, FIRST_ROBOT, **starts)
     (results / "five.json").unlink()
     run_name = "| many | 8,192 × 16, 31 M steps | 3 | native MuJoCo, ±5 mm, friction 0.8 | 64 |"
     make_readme.main(make_readme.ReadmeConfig(root=root))
@@ -228,6 +230,7 @@ def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
     assert f"{run_name} 50.0 (38–62) | 1.5 | 50.0 |" in detail
     assert f"{run_name} 50.0 (38–62) | 1.4 |  |" in detail, "from other start states"
     assert f"{run_name} 50.0 (38–62) | 3.0 | 75.0 at 2.0 N |" in detail
+    assert f"{run_name} 50.0 (38–62) | 1.0 |" in detail, "shipped when it was evaluated"
 
 
 def test_what_was_chosen_among_stands_in_the_order_of_the_runs(tmp_path):

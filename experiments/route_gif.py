@@ -93,7 +93,7 @@ def main(config: RouteConfig) -> None:
         film = list(iio.imiter(demo.out / "grasp.mp4"))
     pictures = told(film, result, heat(config), config)
     write_gif(config.out, pictures, _FPS, round(config.max_mb * 1e6))
-    kept = ("object", "mesh", "asked", "scenario", "success", "phases")
+    kept = ("object", "mesh", "asked", "scenario", "closing", "success", "phases")
     record = {name: result[name] for name in kept}
     tried = {"seed": seed, "outcomes": outcomes}
     write_json(config.results, {**record, **tried, "provenance": made})

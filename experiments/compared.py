@@ -53,7 +53,7 @@ class ComparedConfig(CommandSettings):
     """policy file; the shipped one by default"""
     handoffs: Path | None = None
     """handoff set; the shipped one by default"""
-    budgets: tuple[Positive, ...] = (3.0,)
+    budgets: tuple[Positive, ...] = (3.0, 8.0)
     """force budgets of the policy [N]"""
     squeezes: tuple[Positive, ...] = (3.0, 5.0)
     """forces of the squeeze [N]"""

@@ -305,7 +305,7 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_
 
     monkeypatch.setattr(pose_error, "ran", counted)
     config = pose_error.PoseErrorConfig(
-        out=tmp_path / "errors.json", objects=("rubiks_cube",), squeezes=(3.0,)
+        out=tmp_path / "errors.json", objects=("rubiks_cube",), budgets=(3.0,), squeezes=(3.0,)
     )
     with pytest.raises(KeyboardInterrupt):
         pose_error.main(config)
@@ -337,6 +337,7 @@ def sensitivity(tmp_path, monkeypatch):
     config = module.SensitivityConfig(
         out=tmp_path / "sensitivity.json",
         objects=("rubiks_cube", "sugar_box"),
+        budgets=(3.0,),
         squeezes=(3.0,),
         episodes=3,
         frictions=(0.4, 0.8),

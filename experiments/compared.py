@@ -20,6 +20,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.run import outcome_letters
+from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import (
     Controller,
     Trials,
@@ -34,15 +35,16 @@ from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.records.atomic import check_writable, read_json
 from mjx_grasp.records.provenance import file_digests, provenance
-from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
+from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import SceneConfig, build_scene
-from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_world
 from mjx_grasp.tasks.config import StartNoise
+from mjx_grasp.tasks.task import Task
 
 
 @dataclass(frozen=True)
-class ComparedConfig(CommandSettings):
+class ComparedConfig(Spread):
     """Which controllers, from which starts."""
 
     out: Path
@@ -84,11 +86,6 @@ class Comparison(NamedTuple):
     robot: RobotSpec
     states: HandoffSet
 
-    def world(self, physics: SceneConfig) -> World:
-        """The start states in a scene."""
-        scene = build_scene(self.objects, self.robot, physics)
-        return build_world(scene, self.states, TaskConfig().control_dt)
-
 
 def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     """Loads everything, and what an earlier run of the same settings has left.
@@ -109,7 +106,7 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     policy, stored = load_controller(policy_file, robot), load_handoffs(handoffs, robot=robot)
     record: dict[str, Any] = {
         "schema": schema,
-        "settings": to_record(config),
+        "settings": to_record(unspread(config)),
         "sha256": file_digests(policy=policy_file, handoffs=handoffs),
         "controllers": {},
         "provenance": made,
@@ -140,50 +137,60 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     return Comparison(record, contestants, names, objects, robot, states)
 
 
-def ran(
-    world: World,
-    names: Sequence[str],
-    who: Contestant,
-    conditions: Sequence[tuple[dict[str, float], StartNoise]],
-    config: ComparedConfig,
-) -> list[dict[str, Any]]:
-    """Trials of one controller in native MuJoCo: a row per condition and object.
+class Runner:
+    """Trials of the controllers of a comparison in native MuJoCo, in one scene.
 
     Args:
-        world: Scene and start states.
-        names: Objects.
-        who: The controller.
-        conditions: What a row says of each, and what its starts draw; by the seed all conditions
-            and controllers have the same draws.
-        config: How many, and the seed.
+        found: The comparison.
+        config: How many trials, and the seed.
+        physics: Of the scene.
+        angle_rad: How far any of the trials turns the object: tasks that turn none differ.
     """
-    draws = [
-        paired_draws(
-            world.starts,
-            world.scene.object_index(name),
-            config.episodes,
-            replace(noise, budget_n=(who.force, who.force)),
-            config.seed,
-        )
-        for _, noise in conditions
-        for name in names
-    ]
-    # The noise tells the task whether objects are turned; the draws say by how much.
-    widest = StartNoise(angle_rad=max(noise.angle_rad for _, noise in conditions))
-    worlds = config.episodes * len(names)
-    run = world.task("mujoco", worlds, who.task, widest, with_privileged=False)
-    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
-    trials = run_trials(run, who.act or zero_controller(run), joined, worlds)
-    return rows_of(trials, [at for at, _ in conditions], names, config.episodes)
+
+    def __init__(
+        self,
+        found: Comparison,
+        config: ComparedConfig,
+        physics: SceneConfig | None = None,
+        angle_rad: float = 0.0,
+    ):
+        scene = build_scene(found.objects, found.robot, physics or SceneConfig())
+        self._world = build_world(scene, found.states, TaskConfig().control_dt)
+        self._found, self._config = found, config
+        self._widest = StartNoise(angle_rad=angle_rad)
+        self._worlds = config.episodes * len(found.names)
+        self._made: dict[str, tuple[Task, Controller]] = {}
+
+    def rows(self, name: str, at: dict[str, float], noise: StartNoise) -> list[dict[str, Any]]:
+        """Trials of a controller under a condition, a row per object.
+
+        Args:
+            name: The controller.
+            at: What the rows say of the condition.
+            noise: What its starts draw; from the seed all have the same draws.
+        """
+        who, names, config = self._found.contestants[name], self._found.names, self._config
+        if name not in self._made:
+            task = self._world.task("mujoco", self._worlds, who.task, self._widest, False)
+            self._made[name] = task, who.act or zero_controller(task)
+        noise, starts = replace(noise, budget_n=(who.force, who.force)), self._world.starts
+        draws = [
+            paired_draws(starts, self._world.scene.object_index(of), config.episodes, noise,
+                         config.seed)
+            for of in names
+        ]  # fmt: skip
+        joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+        trials = run_trials(*self._made[name], joined, self._worlds)
+        return rows_of(trials, at, names, config.episodes)
 
 
 def rows_of(
-    trials: Trials, conditions: Sequence[dict[str, float]], names: Sequence[str], episodes: int
+    trials: Trials, at: dict[str, float], names: Sequence[str], episodes: int
 ) -> list[dict[str, Any]]:
-    """One row per condition and object, of trials in that order."""
+    """One row per object, of trials in that order under one condition."""
     letters = outcome_letters(trials)
     rows = []
-    for k, (at, name) in enumerate((at, name) for at in conditions for name in names):
+    for k, name in enumerate(names):
         of = slice(k * episodes, (k + 1) * episodes)
         rows.append(
             {

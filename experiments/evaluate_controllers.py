@@ -13,13 +13,13 @@ revision is gone on with. A new policy need not wait for what is known of the ot
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
 from jaxtyping import Bool
-from processes import core_shares, spread
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
@@ -29,6 +29,7 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, read_results, write_results
 from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.evaluation.spread import Spread, spread, unspread
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -37,7 +38,6 @@ from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import (
-    CommandSettings,
     Count,
     NonNegative,
     Positive,
@@ -70,7 +70,7 @@ NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
 
 @dataclass(frozen=True)
-class ComparisonConfig(CommandSettings):
+class ComparisonConfig(Spread):
     """Which controllers to compare, on what."""
 
     out: Path
@@ -104,8 +104,6 @@ class ComparisonConfig(CommandSettings):
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
-    processes: Count = 1
-    """that share the controllers among them, and the cores; the results are the same"""
     seed: Seed = 1
 
 
@@ -232,12 +230,8 @@ class _Evaluator(NamedTuple):
         return asked_of(config, policy_task(self.policy).observation.budget)
 
 
-_here: list[_Evaluator] = []
-"""That of this process."""
-
-
-def _load(config: ComparisonConfig) -> None:
-    """Makes this process's evaluator."""
+def _load(config: ComparisonConfig) -> _Evaluator:
+    """Makes a process's evaluator."""
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     robot = load_robot()
@@ -248,12 +242,11 @@ def _load(config: ComparisonConfig) -> None:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
     states = states_of(stored, names, config.states)
     world = build_world(scene, states, TaskConfig().control_dt)
-    _here[:] = [_Evaluator(world, names, without, policy, states.reached)]
+    return _Evaluator(world, names, without, policy, states.reached)
 
 
-def _evaluated(chosen: EvaluateConfig) -> tuple[list[ResultRow], dict[str, int]]:
+def _evaluated(own: _Evaluator, chosen: EvaluateConfig) -> tuple[list[ResultRow], dict[str, int]]:
     """Rows of one controller under one condition, and incidents."""
-    (own,) = _here
     controller = own.policy if chosen.controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
     rows, trials = evaluate(own.world, own.names, chosen, controller, own.reached, quiet)
@@ -264,10 +257,8 @@ def main(config: ComparisonConfig) -> None:
     """Runs the comparison."""
     if not (config.with_policy or config.squeeze_forces or config.grip_frictions):
         raise InputError("--squeeze-forces", "no controller at all", "one controller or more")
-    core_shares(config.processes)  # refuses before anything long starts
     console = Console(stderr=True)
-    _load(config)
-    (own,) = _here
+    own = _load(config)
     sha256 = file_digests(
         policy=config.policy or asset_path("policy.npz"),
         handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
@@ -275,7 +266,7 @@ def main(config: ComparisonConfig) -> None:
     found = what_is_known(config, own.names, sha256["handoffs"])
     known = found.rows if found else {}
     made_of = {
-        "settings": to_record(replace(config, processes=1)),  # they make no difference
+        "settings": to_record(unspread(config)),
         "sha256": sha256 | file_digests(known=config.known),
     }
     if found:
@@ -283,10 +274,8 @@ def main(config: ComparisonConfig) -> None:
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
     new = [each for each in asked[finished:] if each not in known]
-    if config.processes == 1:
-        results = map(_evaluated, new)
-    else:
-        results = spread(_evaluated, new, config.processes, _load, config)
+    setup = (lambda: own) if config.alone else partial(_load, config)
+    results = spread(config, _evaluated, new, setup)
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=finished)
         for each in asked[finished:]:
@@ -312,4 +301,6 @@ def main(config: ComparisonConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ComparisonConfig, description=__doc__)))
+    import evaluate_controllers as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.ComparisonConfig, description=__doc__)))

@@ -12,19 +12,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import tyro
-from compared import ComparedConfig, compared, ran
+from compared import ComparedConfig, Runner, compared
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.spread import spread
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import NonNegative
-from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.config import StartNoise
 
 SCHEMA = "mjx_grasp.pose_error/1"
+_WHAT = "a table of pose errors"
+Cell = tuple[str, dict[str, float], StartNoise]
+"""A controller, what its rows say of a condition, and what is drawn under it."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +53,36 @@ def conditions(config: PoseErrorConfig) -> list[tuple[dict[str, float], StartNoi
     ]
 
 
+def _runner(config: PoseErrorConfig) -> Runner:
+    """What each of several processes needs."""
+    widest = max(noise.angle_rad for _, noise in conditions(config))
+    return Runner(compared(config, SCHEMA, _WHAT), config, angle_rad=widest)
+
+
+def _rows(runner: Runner, cell: Cell) -> list[dict[str, Any]]:
+    return runner.rows(*cell)
+
+
 def main(config: PoseErrorConfig) -> None:
     """Runs what is not there yet."""
     grid = conditions(config)
-    found = compared(config, SCHEMA, "a table of pose errors")
-    world, done = found.world(SceneConfig()), found.record["controllers"]
-    left = {name: who for name, who in found.contestants.items() if name not in done}
+    found = compared(config, SCHEMA, _WHAT)
+    done = found.record["controllers"]
+    left = [name for name in found.contestants if name not in done]
+    cells = [(name, *condition) for name in left for condition in grid]
+    results = spread(config, _rows, cells, partial(_runner, config))
     with counting_progress(Console(stderr=True)) as bar:
-        job = bar.add_task("controllers", total=len(left))
-        for name, who in left.items():
-            done[name] = ran(world, found.names, who, grid, config)
+        job = bar.add_task("conditions", total=len(cells))
+        for name in left:
+            rows = []
+            for _ in grid:
+                rows += next(results)
+                bar.update(job, advance=1)
+            done[name] = rows
             write_json(config.out, found.record)
-            bar.update(job, advance=1)
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(PoseErrorConfig, description=__doc__)))
+    import pose_error as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.PoseErrorConfig, description=__doc__)))

@@ -17,17 +17,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from compared import ComparedConfig, Comparison, compared, ran
+from compared import ComparedConfig, Runner, compared
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.spread import spread
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import Positive, Several
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import RobotErrors, StartNoise
 
 SCHEMA = "mjx_grasp.sensitivity/1"
+_WHAT = "a table of sensitivities"
+Cell = tuple[str, str, float]
+"""A controller, what differs, and how much."""
 NOMINAL = {"friction": 0.8, "mass": 1.0, "stiffness": 1.0, "torque": 1.0}
 """Of each factor: what trials under another one have."""
 _NOISE = StartNoise(offset_m=0.005, friction=(NOMINAL["friction"],) * 2)
@@ -65,9 +68,28 @@ def changes(config: SensitivityConfig) -> dict[str, list[float]]:
     return {factor: values for factor, values in apart.items() if values}
 
 
+class Runners:
+    """One runner for each limit of the fingers' torques, in which alone scenes differ."""
+
+    def __init__(self, config: SensitivityConfig):
+        found = compared(config, SCHEMA, _WHAT)
+        self._of = functools.cache(
+            lambda limit: Runner(found, config, SceneConfig(finger_torque=limit))
+        )
+
+    def rows(self, cell: Cell) -> list[dict[str, Any]]:
+        """A controller's rows under one value of a factor."""
+        name, factor, value = cell
+        if factor == "nominal":
+            return self._of(1.0).rows(name, {}, _NOISE)
+        limit = value if factor == "torque" else 1.0
+        noise = _DRAWN[factor](value) if factor in _DRAWN else _NOISE
+        return self._of(limit).rows(name, {"value": value}, noise)
+
+
 def main(config: SensitivityConfig) -> None:
     """Runs what is not there yet."""
-    found = compared(config, SCHEMA, "a table of sensitivities")
+    found = compared(config, SCHEMA, _WHAT)
     found.record["nominal"] = NOMINAL
     done, asked = found.record["controllers"], {"nominal": [1.0]} | changes(config)
     left = [
@@ -76,36 +98,20 @@ def main(config: SensitivityConfig) -> None:
         for factor in asked
         if factor not in done.get(name, {})
     ]
-    # Scenes differ in torque limits alone.
-    world = functools.cache(lambda limit: found.world(SceneConfig(finger_torque=limit)))
+    cells = [(name, factor, value) for name, factor in left for value in asked[factor]]
+    results = spread(config, Runners.rows, cells, functools.partial(Runners, config))
     with counting_progress(Console(stderr=True)) as bar:
-        job = bar.add_task("trials", total=sum(len(asked[factor]) for _, factor in left))
+        job = bar.add_task("conditions", total=len(cells))
         for name, factor in left:
-            rows = _rows(world, found, name, factor, asked[factor], config)
+            rows = []
+            for _ in asked[factor]:
+                rows += next(results)
+                bar.update(job, advance=1)
             done.setdefault(name, {})[factor] = rows
             write_json(config.out, found.record)
-            bar.update(job, advance=len(asked[factor]))
-
-
-def _rows(
-    world: Callable[[float], World],
-    found: Comparison,
-    name: str,
-    factor: str,
-    values: list[float],
-    config: SensitivityConfig,
-) -> list[dict[str, Any]]:
-    """A controller's rows under all values of one factor."""
-    who = found.contestants[name]
-    if factor == "torque":
-        parts = [ran(world(x), found.names, who, [({"value": x}, _NOISE)], config) for x in values]
-        return [row for part in parts for row in part]
-    if factor == "nominal":
-        conditions: list[tuple[dict[str, float], StartNoise]] = [({}, _NOISE)]
-    else:
-        conditions = [({"value": x}, _DRAWN[factor](x)) for x in values]
-    return ran(world(1.0), found.names, who, conditions, config)
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(SensitivityConfig, description=__doc__)))
+    import sensitivity as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.SensitivityConfig, description=__doc__)))

@@ -26,7 +26,7 @@ def script(monkeypatch, request):
 
     module.ran, number = [], itertools.count(1)
 
-    def evaluated(chosen):
+    def evaluated(own, chosen):
         module.ran.append(chosen)
         budget = request.param and chosen.controller == "policy"
         force = {"policy": None, "squeeze": chosen.squeeze_force, "grip": None}
@@ -41,7 +41,7 @@ def script(monkeypatch, request):
         return [replace(row, object=name) for name in NAMES], {}
 
     def load(config):
-        module._here[:] = [module._Evaluator(None, NAMES, [], None, np.ones(1, bool))]
+        return module._Evaluator(None, NAMES, [], None, np.ones(1, bool))
 
     monkeypatch.setattr(module, "_evaluated", evaluated)
     monkeypatch.setattr(module, "_load", load)

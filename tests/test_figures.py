@@ -297,25 +297,30 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_
     monkeypatch.syspath_prepend(ROOT / "experiments")
     pose_error, ran = script("pose_error"), []
 
-    def counted(world, names, who, conditions, config):
-        ran.append(who.force)
-        if len(ran) == 2:
-            raise KeyboardInterrupt
-        return [{"outcomes": "S"}]
+    class Counting:
+        def __init__(self, found, config, angle_rad):
+            self.found = found
 
-    monkeypatch.setattr(pose_error, "ran", counted)
+        def rows(self, name, at, noise):
+            ran.append(self.found.contestants[name].force)
+            if len(ran) == 3:
+                raise KeyboardInterrupt
+            return [{"outcomes": "S"}]
+
+    monkeypatch.setattr(pose_error, "Runner", Counting)
     config = pose_error.PoseErrorConfig(
-        out=tmp_path / "errors.json", objects=("rubiks_cube",), budgets=(3.0,), squeezes=(3.0,)
-    )
+        out=tmp_path / "errors.json", objects=("rubiks_cube",), budgets=(3.0,), squeezes=(3.0,),
+        offsets_mm=(5.0, 10.0), angles_deg=(0.0,),
+    )  # fmt: skip
     with pytest.raises(KeyboardInterrupt):
         pose_error.main(config)
     ran.append(None)
     pose_error.main(config)
-    assert ran == [3.0, 3.0, None, 3.0, 2.5]
+    assert ran == [3.0, 3.0, 3.0, None, 3.0, 3.0, 2.5, 2.5]
     found = json.loads(config.out.read_text())["controllers"]
     assert list(found) == ["policy, budget 3 N", "squeeze 3 N", "grip"]
     pose_error.main(replace(config, episodes=3))
-    assert ran[5:] == [3.0, 3.0, 2.5]
+    assert ran[8:] == [3.0, 3.0, 3.0, 3.0, 2.5, 2.5]
 
 
 @pytest.fixture
@@ -354,14 +359,12 @@ def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivit
     usual = dict.fromkeys(numbers, 1.0) | {"friction": 0.8}
     for torque, draw in sensitivity.noted:
         shared = sensitivity.noted[0][1]
-        for first in range(0, len(draw.row), 6):  # of two objects three trials each
-            part = jax.tree.map(lambda x, at=first: x[at : at + 6], draw)
-            np.testing.assert_array_equal(part.offset, shared.offset)
-            np.testing.assert_array_equal(part.row, shared.row)
-            values = (part.friction, part.mass_scale, part.robot.stiffness, np.full(6, torque))
-            found = {n: float(x[0]) for n, x in zip(numbers, values, strict=True)}
-            assert all(np.ptp(x) == 0 for x in values)
-            seen.append({n: x for n, x in found.items() if not np.isclose(x, usual[n])})
+        np.testing.assert_array_equal(draw.offset, shared.offset)
+        np.testing.assert_array_equal(draw.row, shared.row)
+        values = (draw.friction, draw.mass_scale, draw.robot.stiffness, np.full(6, torque))
+        found = {n: float(x[0]) for n, x in zip(numbers, values, strict=True)}
+        assert all(np.ptp(x) == 0 for x in values)
+        seen.append({n: x for n, x in found.items() if not np.isclose(x, usual[n])})
     assert 0.004 < np.abs(shared.offset).max() <= 0.005
     weak = [{"torque": 0.25}, {"torque": 0.5}]
     changed = [{}, {"friction": pytest.approx(0.4)}, {"mass_scale": 0.5}, {"mass_scale": 2.0}]
@@ -378,7 +381,7 @@ def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivit
 
 def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sensitivity):
     module, noted, config = sensitivity.module, sensitivity.noted, sensitivity.config
-    module.stop_at = 7  # the second controller's factor after the nominal trials
+    module.stop_at = 8  # the second controller's factor after the nominal trials
     with pytest.raises(KeyboardInterrupt):
         module.main(config)
     done = json.loads(config.out.read_text())["controllers"]
@@ -387,11 +390,11 @@ def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sen
         ["nominal"],
     ]
     module.main(config)
-    assert len(noted) == 7 + (3 * 5 - 6)
+    assert len(noted) == 8 + (3 * 6 - 7)
     module.main(config)
-    assert len(noted) == 16, "nothing is left"
+    assert len(noted) == 19, "nothing is left"
     module.main(replace(config, seed=3))
-    assert len(noted) == 16 + 15
+    assert len(noted) == 19 + 18
 
 
 @pytest.mark.parametrize("bad", [(), (0.0,), (0.8, 0.4), (0.8, 0.8), (float("inf"),)])

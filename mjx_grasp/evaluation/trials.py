@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -81,14 +82,20 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
         draw: Starts.
         worlds: Worlds per batch; an MJX engine's own number.
     """
-    count = len(draw.row)
-    batch = jax.jit(lambda d: _episode(task, controller, d, lambda state: ())[0])
+    known: Hashable = task
+    count, batch = len(draw.row), _compiled(known, controller)
     parts = []
     for first in range(0, count, worlds):
         index = np.minimum(np.arange(first, first + worlds), count - 1)
         part = batch(jax.tree.map(lambda x, rows=index: x[rows], draw))
         parts.append(Trials(*(np.asarray(x)[: count - first] for x in part)))
     return Trials(*(np.concatenate(p) for p in zip(*parts, strict=True)))
+
+
+@functools.lru_cache(maxsize=1)
+def _compiled(task: Task, controller: Controller) -> Callable[[StartDraw], Trials]:
+    """Episodes of a task; what is asked for again, for another object, is compiled once."""
+    return jax.jit(lambda draw: _episode(task, controller, draw, lambda state: ())[0])
 
 
 def record_trials(

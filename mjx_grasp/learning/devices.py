@@ -37,6 +37,9 @@ class RunOn(CommandSettings):
     """how many processes these are [-]"""
     process: WholeNumber | None = None
     """which of them this one is, from 0 [-]"""
+    donate: bool | None = None
+    """whether an iteration's worlds take the memory of those before; None: on one device alone,
+    since MJX was reported to hang on several (MuJoCo issue 2980)"""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Devices:
     """The devices that a training runs on; one, without a mesh, by default."""
 
     mesh: Mesh | None = None
+    donates: bool = True
+    """whether an iteration may take the memory of the state that it is given"""
 
     @property
     def count(self) -> int:
@@ -190,4 +195,5 @@ def find_devices(run_on: RunOn, worlds: int, minibatches: int) -> Devices:
     if worlds % (count * minibatches):
         multiple = f"a multiple of {count} devices × {minibatches} minibatches"
         raise InputError("--ppo.worlds", worlds, multiple)
-    return ONE_DEVICE if count == 1 else Devices(Mesh(np.array(available[:count]), (AXIS,)))
+    mesh = None if count == 1 else Mesh(np.array(available[:count]), (AXIS,))
+    return Devices(mesh, mesh is None if run_on.donate is None else run_on.donate)

@@ -85,8 +85,7 @@ def train_loop(
         KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
     devices = env.devices
-    # Donated arguments are reported to hang MJX on several devices (MuJoCo issue 2980).
-    given = 0 if devices.count == 1 else ()
+    given = 0 if devices.donates else ()
     iteration = jax.jit(make_iteration(ppo, env), donate_argnums=given)
     start = int(state.iteration)
     columns = (*COLUMNS, *env.pace_names, *reward_columns(env.task.reward_names).values())

@@ -122,7 +122,7 @@ def test_two_processes_train_together_and_one_goes_on_alone(tmp_path):
 
 
 def test_one_device_is_the_default_on_a_cpu():
-    assert find_devices(RunOn(), 6, 3) is ONE_DEVICE and ONE_DEVICE.count == 1
+    assert find_devices(RunOn(), 6, 3) == ONE_DEVICE and ONE_DEVICE.count == 1
     assert ONE_DEVICE.writes and ONE_DEVICE.agreed(True, False) == (True, False)
 
 

@@ -1,0 +1,151 @@
+"""Jobs over processes of one machine or several, their results in order, by Ray (extra `ray`).
+
+One evaluation alone does not use many cores: its physics does, its controller hardly. So several
+run beside each other, each on cores of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from typing import Any, NamedTuple, TypeVar
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.records.provenance import usable_cores
+from mjx_grasp.records.settings import CommandSettings, Count
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Context = TypeVar("Context")
+S = TypeVar("S", bound="Spread")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread(CommandSettings):
+    """Who shares the work. It makes no difference to the results."""
+
+    processes: Count = 1
+    """that share the work, each with cores of its own; more than one need the extra `ray`"""
+    address: str | None = None
+    """of a Ray cluster over whose machines the processes are spread, or `auto` for the one that
+    this machine belongs to; paths have to be the same on all of them. None: this machine alone"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.address is None and self.processes > usable_cores():
+            expected = f"at most {usable_cores()}, a core each"
+            raise InputError(self.name_of("processes"), self.processes, expected)
+        if not self.alone and find_spec("ray") is None:
+            what = f"{self.processes}, but no Ray"
+            expected = "the extra 'ray' (pip install 'mjx_grasp[ray]')"
+            raise InputError(self.name_of("processes"), what, expected)
+
+    @property
+    def alone(self) -> bool:
+        """Whether this process does everything."""
+        return self.processes == 1 and self.address is None
+
+
+def unspread(config: S) -> S:
+    """Settings as they would be of one process: what results are made of."""
+    return replace(config, processes=1, address=None)
+
+
+class Place(NamedTuple):
+    """Which process of its machine one is."""
+
+    rank: int
+    """from 0"""
+    processes: int
+    """of the machine"""
+
+
+def spread(
+    over: Spread,
+    work: Callable[[Context, Job], Result],
+    jobs: Sequence[Job],
+    setup: Callable[[], Context],
+) -> Iterator[Result]:
+    """The results of jobs, in their order, as they come.
+
+    A process that is lost is begun anew, and what it was at is done again.
+
+    Args:
+        over: Who shares them.
+        work: Does one job, with what `setup` has made.
+        jobs: One after the other.
+        setup: Called once in every process before its first job; in this one if it is alone.
+    """
+    if not jobs:
+        return
+    if over.alone:
+        context = setup()
+        yield from (work(context, job) for job in jobs)
+        return
+    import ray
+    from ray.util import ActorPool
+
+    # Modules are found where this process finds them.
+    found = {"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}}
+    ray.init(
+        over.address,
+        num_cpus=over.processes if over.address is None else None,
+        log_to_driver=False,
+        logging_level=logging.WARNING,
+        include_dashboard=False,
+        runtime_env=found,
+    )
+    try:
+        kind: Any = ray.remote(
+            num_cpus=1, max_restarts=-1, max_task_retries=-1, scheduling_strategy="SPREAD"
+        )(_Worker)
+        workers = [kind.remote(work, setup) for _ in range(min(over.processes, len(jobs)))]
+        machines = ray.get([worker.machine.remote() for worker in workers])
+        places = dict(zip(workers, places_on(machines), strict=True))
+        pool: Any = ActorPool(workers)
+        yield from pool.map(lambda worker, job: worker.run.remote(places[worker], job), jobs)
+    finally:
+        ray.shutdown()
+
+
+def places_on(machines: Sequence[str]) -> list[Place]:
+    """Of each process its place among those on the same machine."""
+    counts, seen = Counter(machines), Counter[str]()
+    places = []
+    for machine in machines:
+        places.append(Place(seen[machine], counts[machine]))
+        seen[machine] += 1
+    return places
+
+
+def cores_of(place: Place, cores: Sequence[int]) -> list[int]:
+    """The cores of a place when a machine's are dealt out evenly; one at least."""
+    own = list(cores[place.rank :: place.processes])
+    return own or [cores[place.rank % len(cores)]]
+
+
+class _Worker:
+    """One process."""
+
+    def __init__(self, work: Callable[[Any, Any], Any], setup: Callable[[], Any]):
+        self._work, self._setup = work, setup
+        self._context: list[Any] = []
+
+    def machine(self) -> str:
+        """Where it is."""
+        import ray
+
+        return ray.get_runtime_context().get_node_id()
+
+    def run(self, place: Place, job: Any) -> Any:
+        """Does a job, after what comes before the first one."""
+        if not self._context:
+            if hasattr(os, "sched_setaffinity"):  # not on macOS
+                os.sched_setaffinity(0, cores_of(place, sorted(os.sched_getaffinity(0))))
+            self._context.append(self._setup())
+        return self._work(self._context[0], job)

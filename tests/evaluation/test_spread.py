@@ -1,0 +1,121 @@
+"""Jobs over processes: order, cores, errors, lost processes; one comparison by one and by two."""
+
+import importlib
+import json
+import os
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation import spread as module
+from mjx_grasp.evaluation.spread import Place, Spread, cores_of, places_on, spread, unspread
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+
+@pytest.fixture
+def two_cores():
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) < 2:
+        pytest.skip("two processes need two cores")
+    return cores
+
+
+def test_one_process_does_its_jobs_itself_after_what_comes_before():
+    log = []
+
+    def setup():
+        log.append("setup")
+        return 100
+
+    def work(context, job):
+        log.append(job)
+        return context + job
+
+    results = spread(Spread(), work, [1, 2], setup)
+    assert log == [], "nothing is done before it is asked for"
+    assert next(results) == 101 and log == ["setup", 1]
+    assert list(results) == [102] and log == ["setup", 1, 2]
+    assert list(spread(Spread(), work, [], setup)) == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 7])
+def test_every_core_is_in_one_share(count):
+    shares = [cores_of(Place(k, count), range(7)) for k in range(count)]
+    assert sorted(core for share in shares for core in share) == list(range(7))
+    assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+def test_more_processes_than_cores_of_a_machine_share_them():
+    assert [cores_of(Place(k, 3), [4, 5]) for k in range(3)] == [[4], [5], [4]]
+
+
+def test_places_are_counted_on_each_machine():
+    assert places_on("aba") == [Place(0, 2), Place(0, 1), Place(1, 2)]
+
+
+def test_who_shares_the_work_is_not_of_the_results():
+    config = Spread(processes=1, address="ray://somewhere")
+    assert not config.alone and unspread(config) == Spread() and Spread().alone
+
+
+def test_what_cannot_be_shared_is_refused(monkeypatch):
+    cores = len(os.sched_getaffinity(0))
+    with pytest.raises(InputError, match=rf"--processes.*{cores + 1}.*at most {cores}"):
+        Spread(processes=cores + 1)
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"mjx_grasp\[ray\]"):
+        Spread(address="auto")
+
+
+@pytest.mark.long
+def test_results_of_several_come_in_order_from_cores_of_their_own_and_none_is_lost(
+    two_cores, tmp_path
+):
+    """One process is killed at its first job, and another takes its place."""
+
+    def setup(folder):
+        (folder / f"setup-{os.getpid()}").touch()
+        return 100
+
+    def work(context, job):
+        if job == 9:
+            raise ValueError("nine")
+        if job == 1 and not (tmp_path / "killed").exists():
+            (tmp_path / "killed").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(0.05 * (3 - job))
+        return context + job, sorted(os.sched_getaffinity(0)), os.getpid()
+
+    over, begin = Spread(processes=2), partial(setup, tmp_path)
+    results = list(spread(over, work, range(4), begin))
+    assert [value for value, _, _ in results] == [100, 101, 102, 103]
+    shares = {tuple(cores) for _, cores, _ in results}
+    assert sorted(core for share in shares for core in share) == two_cores[: sum(map(len, shares))]
+    assert all(pid != os.getpid() for _, _, pid in results)
+    assert len(list(tmp_path.glob("setup-*"))) == 3, "once in each process"
+    with pytest.raises(ValueError, match="nine"):
+        list(spread(over, work, [0, 9], begin))
+
+
+@pytest.mark.long
+def test_a_comparison_by_two_processes_is_that_of_one(two_cores, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    sys.modules.pop("evaluate_controllers", None)
+    script = importlib.import_module("evaluate_controllers")
+    files = {n: tmp_path / f"{n}.json" for n in (1, 2)}
+    for n, out in files.items():
+        script.main(
+            script.ComparisonConfig(
+                out=out, objects=("foam_brick",), force_budgets=(3.0,), squeeze_forces=(3.0,),
+                episodes=2, processes=n,
+            )
+        )  # fmt: skip
+    one, two = (json.loads(files[n].read_text()) for n in (1, 2))
+    assert one["rows"] == two["rows"] and len(one["rows"]) == 2
+    assert one["settings"]["processes"] == two["settings"]["processes"] == 1

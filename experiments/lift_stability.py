@@ -69,8 +69,8 @@ class StabilityConfig(CommandSettings):
     [-]"""
     seconds: Positive = 14.0
     """of each trial, from the handoff on [s]"""
-    budget: Positive = 3.0
-    """force budget of the policy [N]"""
+    budgets: tuple[Positive, ...] = (3.0, 8.0)
+    """force budgets of the policy [N]"""
     squeeze: NonNegative = 3.0
     """force of the squeeze [N]"""
     trials: Count = 16
@@ -166,11 +166,15 @@ def main(config: StabilityConfig) -> None:
     # As long as is asked; the trained task is otherwise left alone.
     plain = TaskConfig(episode_s=config.seconds)
     tasks = {
-        f"policy, {config.budget:g} N": replace(policy_task(policy), episode_s=config.seconds),
-        f"squeeze, {config.squeeze:g} N": replace(plain, grip=GripConfig(force=config.squeeze)),
-        "grip": replace(plain, grip=REACTING),
+        f"policy, {budget:g} N": (replace(policy_task(policy), episode_s=config.seconds), budget)
+        for budget in config.budgets
+    } | {
+        f"squeeze, {config.squeeze:g} N": (
+            replace(plain, grip=GripConfig(force=config.squeeze)),
+            config.squeeze,
+        ),
+        "grip": (replace(plain, grip=REACTING), REACTING.force),
     }
-    noise = StartNoise(budget_n=(config.budget, config.budget))
     states = states_of(stored, [config.object], "evaluation")
     drawn: dict[str, Curves] = {}
     rows = []
@@ -180,8 +184,9 @@ def main(config: StabilityConfig) -> None:
             physics = SceneConfig(impratio=impratio)
             scene = build_scene_of((config.object,), config.objects_dir, robot, physics)
             world = build_world(scene, states, plain.control_dt)
-            start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
-            for name, task in tasks.items():
+            for name, (task, force) in tasks.items():
+                noise = StartNoise(budget_n=(force, force))
+                start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
                 run = world.task("mujoco", config.trials, task, noise, with_privileged=False)
                 knows = name.startswith("policy")
                 act = (lambda obs: policy(obs["state"])) if knows else zero_controller(run)

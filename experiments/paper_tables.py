@@ -246,9 +246,10 @@ def _holds_longer(folder: Path) -> Claim | None:
     rows = read_json(path, "a table of long holds")["rows"]
 
     def kept(who: str, stiff: bool) -> tuple[int, int]:
-        """Of those that were lifted: held to the end, and all of them."""
+        """Of those that the first such controller lifted: held to the end, and all of them."""
         level = (max if stiff else min)(row["impratio"] for row in rows)
-        of = [r for r in rows if r["impratio"] == level and r["controller"].startswith(who)]
+        name = next(r["controller"] for r in rows if r["controller"].startswith(who))
+        of = [r for r in rows if (r["impratio"], r["controller"]) == (level, name)]
         lifted = [row for row in of if row["held_s"] > 0]
         return sum(row["held_to_the_end"] for row in lifted), len(lifted)
 

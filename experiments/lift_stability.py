@@ -132,7 +132,7 @@ def held_for(curves: Curves, risen: float, dt: float) -> Float[np.ndarray, " n"]
 
 def draw(found: dict[str, Curves], config: StabilityConfig, dt: float) -> bytes:
     """Rise, force per finger and what is left of the wrench, every trial a line, as PNG."""
-    figure = new_figure(9.6, 8.2)
+    figure = new_figure(3.2 * len(found), 8.2)
     axes = figure.subplots(4, len(found), sharex=True, sharey="row", squeeze=False)
     titles = ("rise [m]", "force per finger [N]", "net force [N]", "net moment [N m]")
     for column, (name, curves) in enumerate(found.items()):
@@ -144,8 +144,8 @@ def draw(found: dict[str, Curves], config: StabilityConfig, dt: float) -> bytes:
             ax.plot(clock, values, color=colour, linewidth=0.7, alpha=0.6)
             ax.set_title(f"{name}: {title}", loc="left", fontsize=9, color=GREY)
             ax.set_ylim(0, None)
-        axes[-1, column].set_xlabel("time since the object has risen by 5 cm [s]", fontsize=9)
         axes[-1, column].set_xlim(-1.0, config.seconds - 2.5)
+    figure.supxlabel("time since the object has risen by 5 cm [s]", fontsize=9, color=GREY)
     axes[1, 0].set_ylim(0, 9.0)
     axes[2, 0].set_ylim(0, 6.0)
     axes[3, 0].set_ylim(0, 0.3)

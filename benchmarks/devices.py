@@ -21,6 +21,7 @@ import csv
 import os
 import re
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
@@ -68,6 +69,8 @@ class DevicesConfig(CommandSettings):
     """of them that no speed is taken from [-]"""
     limit_s: Positive = 400.0
     """after which a training is said to hang [s]"""
+    logs: Path | None = None
+    """folder where what each training prints is kept"""
     seed: Seed = 0
 
 
@@ -112,7 +115,15 @@ def commands(setting: Setting, config: DevicesConfig, folder: Path) -> list[list
         "--evaluation-episodes": 0,
     }
     common = [str(x) for pair in flags.items() if pair[1] is not None for x in pair]
-    command = [sys.executable, "-m", "mjx_grasp.train", *common, *shlex.split(config.flags)]
+    command = [
+        sys.executable,
+        "-X",
+        "faulthandler",
+        "-m",
+        "mjx_grasp.train",
+        *common,
+        *shlex.split(config.flags),
+    ]
     if setting.way == "donate":
         command += ["--donate", "True"]
     if not several:
@@ -139,7 +150,11 @@ def trained(setting: Setting, config: DevicesConfig) -> dict[str, Any]:
             outcome = _ended(running, start + config.limit_s)
         seconds = time.monotonic() - start
         if outcome == "failed":
-            outcome = f"failed: {said.read_text(errors='replace').strip()[-1500:]}"
+            codes = ", ".join(str(process.returncode) for process in running)
+            outcome = f"failed ({codes}): {said.read_text(errors='replace').strip()[-1500:]}"
+        if config.logs is not None:
+            config.logs.mkdir(parents=True, exist_ok=True)
+            shutil.copy(said, config.logs / f"{setting.name}.log")
         path = folder / "metrics.csv"
         log = list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
     return {**setting._asdict(), "outcome": outcome, "seconds": seconds} | measured(
@@ -199,7 +214,7 @@ def main(config: DevicesConfig) -> None:
     check_writable("--out", config.out)
     asked = [setting_of(name, config.iterations) for name in config.settings]
     made = provenance(config.seed)
-    same = to_record(config) | {"out": None, "settings": None}
+    same = to_record(config) | {"out": None, "settings": None, "logs": None}
     record: dict[str, Any] = {"schema": SCHEMA, "settings": same, "rows": [], "provenance": made}
     if config.out.exists():
         before = read_json(config.out, "speeds on several devices")

@@ -36,6 +36,7 @@ def main() -> None:
         config.seed,
         chunk=config.chunk,
         bound=config.bound,
+        over=config,
         console=console,
     )
     console.print(rate_table(run.result, config.preset))

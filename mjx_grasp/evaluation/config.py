@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.closing.config import REACTING, GripConfig
+from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
 from mjx_grasp.tasks.assemble import Engine
@@ -15,7 +16,7 @@ from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, Sta
 
 
 @dataclass(frozen=True)
-class EvaluateConfig(ObjectsConfig):
+class EvaluateConfig(ObjectsConfig, Spread):
     """Evaluates a controller by the criterion of success (method §7)."""
 
     out: Path

@@ -195,5 +195,9 @@ def find_devices(run_on: RunOn, worlds: int, minibatches: int) -> Devices:
     if worlds % (count * minibatches):
         multiple = f"a multiple of {count} devices × {minibatches} minibatches"
         raise InputError("--ppo.worlds", worlds, multiple)
-    mesh = None if count == 1 else Mesh(np.array(available[:count]), (AXIS,))
+    mesh = None
+    if count > 1:
+        # With its default partitioner XLA of JAX 0.11 crashes on a physics step of MJX.
+        jax.config.update("jax_use_shardy_partitioner", False)
+        mesh = Mesh(np.array(available[:count]), (AXIS,))
     return Devices(mesh, mesh is None if run_on.donate is None else run_on.donate)

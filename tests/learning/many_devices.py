@@ -3,6 +3,7 @@
 python many_devices.py OUT.npz            four devices of one process
 python many_devices.py OUT.npz homing     a checkpoint of two of them, of a task without physics
 python many_devices.py OUT.npz closing    the same of the closing task
+python many_devices.py FOLDER COUNT ITERATIONS   the same task on so many, from where FOLDER is
 python many_devices.py FOLDER HOST:PORT PROCESSES PROCESS ITERATIONS
 """
 
@@ -13,7 +14,7 @@ from pathlib import Path
 if __name__ == "__main__":
     # XLA has a thread for each. Twice as many as are used, because a thread that waits for other
     # devices is not there for the callbacks of the engine.
-    count = 8 if len(sys.argv) < 4 else 1
+    count = 8 if len(sys.argv) < 5 else 1
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
     os.environ["XLA_FLAGS"] = flags
 
@@ -131,6 +132,17 @@ def worlds_of(env, state):
     return np.concatenate([np.asarray(x, float).reshape(8, -1) for x in leaves], axis=1)
 
 
+def goes_on(folder, count, iterations):
+    """A training in the loop with its files, every iteration kept."""
+    config = tiny.ppo(iterations, worlds=8, privileged_critic=False)
+    env = homing_env(count)
+    state, kept = init_state(config, env, seed=0), checkpoints(folder / "checkpoints")
+    if kept:
+        state, stood = restore_checkpoint(kept[-1], state, env)
+        print("from", int(state.iteration), stood, flush=True)
+    train_loop(folder, state, env, config, LoopConfig(checkpoint_every=1), tiny.CONFIG)
+
+
 def processes(folder, coordinator, count, process, iterations):
     """A training of processes with a device each, in the loop with its files."""
     run_on = RunOn("auto", coordinator, count, process)
@@ -152,5 +164,7 @@ if __name__ == "__main__":
         four_devices(sys.argv[1])
     elif len(sys.argv) == 3:
         checkpoints_of(sys.argv[1], {"homing": homing_env, "closing": closing_env}[sys.argv[2]])
+    elif len(sys.argv) == 4:
+        goes_on(Path(sys.argv[1]), *map(int, sys.argv[2:]))
     else:
         processes(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:]))

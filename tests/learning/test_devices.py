@@ -1,16 +1,20 @@
 """Training on several devices: CPUs that XLA pretends to have, and processes of one device each."""
 
 import os
+import random
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from jax.sharding import Mesh
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.learning import devices
 from mjx_grasp.learning.checkpoint import checkpoints
 from mjx_grasp.learning.devices import ONE_DEVICE, RunOn, find_devices, join_hosts
 
@@ -121,6 +125,37 @@ def test_two_processes_train_together_and_one_goes_on_alone(tmp_path):
     assert [p.name[-1] for p in checkpoints(broken / "checkpoints")] == ["3", "4"]
 
 
+@pytest.mark.long
+def test_ten_times_killed_and_resumed_on_other_devices_no_finished_iteration_is_lost(tmp_path):
+    """Killed at any moment: what was kept is gone on with, and logged once."""
+    rng, kills, start = random.Random(0), 10, 0
+    for k in range(kills):
+        process = script(tmp_path, (1, 2, 4)[k % 3], 10_000)
+        deadline = time.monotonic() + 120
+        while newest(tmp_path) < start + 2:
+            assert process.poll() is None and time.monotonic() < deadline, process.stdout.read()
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0.0, 0.6))
+        process.kill()
+        output, last = process.communicate()[0], newest(tmp_path)
+        assert f"from {start} True" in output if start else "from" not in output
+        # An iteration that was logged may be cut short while it is written.
+        assert last <= len(iterations_logged(tmp_path)) <= last + 1
+        start = last
+    output_of(script(tmp_path, 2, start + 2))
+    assert iterations_logged(tmp_path) == list(range(1, start + 3))
+
+
+def newest(folder):
+    kept = checkpoints(folder / "checkpoints")
+    return int(kept[-1].name.split("_")[1]) if kept else 0
+
+
+def iterations_logged(folder):
+    lines = (folder / "metrics.csv").read_text().splitlines()[1:]
+    return [int(line.split(",")[0]) for line in lines if line.count(",") > 5]
+
+
 def test_one_device_is_the_default_on_a_cpu():
     assert find_devices(RunOn(), 6, 3) == ONE_DEVICE and ONE_DEVICE.count == 1
     assert ONE_DEVICE.writes and ONE_DEVICE.agreed(True, False) == (True, False)
@@ -140,6 +175,17 @@ def test_one_device_is_the_default_on_a_cpu():
 def test_devices_that_are_not_there_and_uneven_worlds_are_refused(run_on, worlds, said):
     with pytest.raises(InputError, match=said):
         find_devices(run_on, worlds, 2)
+
+
+def test_several_devices_keep_the_state_beside_the_next_unless_told_otherwise(monkeypatch):
+    here = jax.devices()[:1]
+    monkeypatch.setattr(jax, "devices", lambda: 2 * here)
+    monkeypatch.setattr(jax.config, "update", lambda *_: None)
+    monkeypatch.setattr(devices, "Mesh", lambda *_: Mesh(np.array(here), (devices.AXIS,)))
+    assert not find_devices(RunOn(devices=2), 4, 2).donates
+    assert find_devices(RunOn(devices=2, donate=True), 4, 2).donates
+    assert find_devices(RunOn(devices=1), 4, 2).donates
+    assert not find_devices(RunOn(devices=1, donate=False), 4, 2).donates
 
 
 def test_processes_without_a_meeting_place_are_refused():

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 
@@ -46,7 +47,7 @@ class GraspsConfig(ObjectsConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenariosConfig(GraspsConfig):
+class ScenariosConfig(GraspsConfig, Spread):
     """Grasps from home in native MuJoCo, while this or that happens."""
 
     out: Annotated[Path, Suffix((".json",))]

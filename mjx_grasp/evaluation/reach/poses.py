@@ -9,8 +9,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.records.settings import (
-    CommandSettings,
     Count,
     Interval,
     Positive,
@@ -27,7 +27,7 @@ Lengths = Annotated[tuple[Positive, Positive], Several(ascending=True)]
 
 
 @dataclass(frozen=True)
-class SweepConfig(CommandSettings):
+class SweepConfig(Spread):
     """What to sweep, and what to write."""
 
     poses: Count = 2752

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.results import classify, summary
-from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, sweep
+from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, plan_keys, sweep
+from mjx_grasp.evaluation.spread import Spread, spread
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
@@ -21,6 +26,11 @@ from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
 from mjx_grasp.robot.spec import RobotSpec
+
+_ON_CPU = 128
+"""Poses worked on at once."""
+Told = Callable[[str, int], None]
+"""Of how much more of a stage is done: `planning` in poses, `reaching` in ticks of one pose."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,88 @@ class SweepRun:
     """``[poses]`` failure class of each, −1 where it converged."""
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What every process that takes part in a sweep is told."""
+
+    robot: RobotSpec
+    settings: ReachPreset
+    poses: int
+    seed: int
+    chunk: int
+    """poses worked on at once"""
+    bound: bool
+    """whether to look for a solution where the preset does not"""
+
+
+class Reached(NamedTuple):
+    """What came of a share of the poses."""
+
+    record: ReachRecord
+    least_error: Float[np.ndarray, " n"] | None
+    """tip error of the best posture that was found [m]"""
+    seconds: dict[str, float]
+    """by stage, without compilation; that apart"""
+
+
+class Reaching:
+    """Plans and reaches for shares of a sweep's poses.
+
+    Args:
+        asked: The sweep.
+        told: Of progress.
+    """
+
+    def __init__(self, asked: Asked, told: Told = lambda stage, amount: None):
+        self._asked, self._told = asked, told
+        self._poses = draw_poses(asked.poses, asked.seed)
+        self._seconds: dict[str, float] = {}
+        body, settings = robot_body(asked.robot), asked.settings
+        self._reacher = Reacher(body, settings.reach, settings.selection)
+        self._looks = settings.plan is not None or asked.bound
+        if self._looks:
+            with self._timed("planning"):
+                plan = settings.plan or PlanConfig()
+                self._planner, self._library = (
+                    Planner(self._reacher, plan),
+                    start_library(body, plan),
+                )
+                self._keys = plan_keys(self._planner, asked.poses)
+
+    def share(self, rows: slice) -> Reached:
+        """Reaches for some of the poses."""
+        asked, on_cpu = self._asked, jax.default_backend() == "cpu"
+        poses = jax.tree.map(lambda x: x[rows], self._poses)
+        plans, least_error = None, None
+        if self._looks:
+            with self._timed("planning"):
+                found = plan_all(
+                    self._planner,
+                    self._library,
+                    poses,
+                    min(asked.chunk, 32 if on_cpu else 256),
+                    partial(self._told, "planning"),
+                    self._keys[rows],
+                )
+            least_error = np.asarray(found.least_error)
+            plans = found.plans if asked.settings.plan else None
+        with self._timed("reaching"):
+            record = sweep(
+                self._reacher, poses, plans, asked.chunk, partial(self._told, "reaching")
+            )
+        seconds, self._seconds = self._seconds, {}
+        return Reached(record, least_error, seconds)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start, compiled = time.perf_counter(), compile_seconds()
+        yield
+        compiling = compile_seconds() - compiled
+        known = self._seconds
+        known[stage] = known.get(stage, 0.0) + time.perf_counter() - start - compiling
+        known["compilation"] = known.get("compilation", 0.0) + compiling
+
+
 def run_sweep(
     robot: RobotSpec,
     settings: ReachPreset,
@@ -42,6 +134,7 @@ def run_sweep(
     *,
     chunk: int | None = None,
     bound: bool = True,
+    over: Spread | None = None,
     console: Console | None = None,
 ) -> SweepRun:
     """Draws the poses, plans where the preset looks ahead, reaches for all, sums up.
@@ -53,45 +146,41 @@ def run_sweep(
         seed: Of the poses.
         chunk: Poses worked on at once; by default 128 on a CPU, all of them on an accelerator.
         bound: Also report the share of poses for which a solution exists at all.
+        over: Who shares the poses; this process alone by default. Times are those of all together.
         console: Where progress is shown; nowhere if None.
 
     Raises:
         InputError: A robot that the controller or its plan cannot use.
     """
-    poses = draw_poses(count, seed)
-    settings = for_sweep(settings)
-    body = robot_body(robot)
-    reacher = Reacher(body, settings.reach, settings.selection)
-    on_cpu = jax.default_backend() == "cpu"
-    chunk = min(chunk or (128 if on_cpu else count), count)
-    dt, cap = settings.reach.controller.dt, settings.reach.controller.timeout
-    seconds: dict[str, float] = {}
-    plans, least_error = None, None
+    over, settings = over or Spread(), for_sweep(settings)
+    whole = over.alone and jax.default_backend() != "cpu"
+    chunk = min(chunk or (count if whole else _ON_CPU), count)
+    asked = Asked(robot, settings, count, seed, chunk, bound)
+    size = count if over.alone else chunk
+    shares = [slice(first, min(first + size, count)) for first in range(0, count, size)]
+    control = settings.reach.controller
+    ticks = count * round(control.timeout / control.dt)
     with counting_progress(console) as progress:
-        if settings.plan or bound:
-            plan = settings.plan or PlanConfig()
-            task = progress.add_task("library of starts", total=None)
-            start, compiled = time.perf_counter(), compile_seconds()
-            library = start_library(body, plan)
-            progress.update(task, visible=False)
-            task = progress.add_task("inverse kinematics", total=count)
-            found = plan_all(
-                Planner(reacher, plan),
-                library,
-                poses,
-                min(chunk, 32) if on_cpu else min(chunk, 256),
-                lambda done: progress.update(task, completed=done),
-            )
-            seconds["planning"] = time.perf_counter() - start - compile_seconds() + compiled
-            least_error = found.least_error
-            plans = found.plans if settings.plan else None
-        task = progress.add_task("reaching", total=count * round(cap / dt))
-        start, compiled = time.perf_counter(), compile_seconds()
-        record = sweep(reacher, poses, plans, chunk, lambda ticks: progress.advance(task, ticks))
-        seconds["reaching"] = time.perf_counter() - start - compile_seconds() + compiled
-    limits = settings.reach.limits
+        if over.alone:
+            jobs = {"planning": progress.add_task("inverse kinematics", total=count)}
+            jobs["reaching"] = progress.add_task("reaching", total=ticks)
+            setup = partial(Reaching, asked, lambda at, n: progress.advance(jobs[at], n))
+        else:
+            job = progress.add_task(f"poses by {over.processes} processes", total=count)
+            setup = partial(Reaching, asked)
+        found = []
+        for reached in spread(over, Reaching.share, shares, setup):
+            found.append(reached)
+            if not over.alone:
+                progress.advance(job, len(reached.record.ticks))
+    record = jax.tree.map(lambda *parts: np.concatenate(parts), *(of.record for of in found))
+    errors = [of.least_error for of in found if of.least_error is not None]
+    least_error = np.concatenate(errors) if errors else None
+    poses, body, limits = draw_poses(count, seed), robot_body(robot), settings.reach.limits
     result = summary(body, limits, poses, record, least_error)
-    seconds["compilation"] = compile_seconds()
-    result["seconds"] = {name: round(value, 2) for name, value in seconds.items()}
-    classes = classify(body, limits, record, least_error)
-    return SweepRun(result, poses, record, classes)
+    result["seconds"] = {
+        stage: round(sum(of.seconds.get(stage, 0.0) for of in found), 2)
+        for stage in ("planning", "reaching", "compilation")
+        if any(stage in of.seconds for of in found)
+    }
+    return SweepRun(result, poses, record, classify(body, limits, record, least_error))

@@ -107,7 +107,8 @@ def plan_all(
     library: Library,
     poses: CylinderPoses,
     chunk: int,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int], None] = lambda poses: None,
+    keys: Array | None = None,
 ) -> Search:
     """Plans for every pose from home, in chunks of one compiled size.
 
@@ -116,10 +117,12 @@ def plan_all(
         library: From :func:`start_library`.
         poses: The cylinders.
         chunk: Poses at a time.
-        progress: Told how many are done.
+        progress: Told of every chunk how many it has.
+        keys: Of each pose; by default those of the first ones from the planner's seed.
     """
     count = len(poses.radius)
-    keys = jax.random.split(jax.random.key(planner.config.seed), count)
+    if keys is None:
+        keys = plan_keys(planner, count)
     found = []
     for first in range(0, count, chunk):
         rows = _rows(first, chunk, count)
@@ -127,8 +130,13 @@ def plan_all(
         part = _plans(planner, library, shape, poses.p_wo[rows], poses.R_wo[rows], keys[rows])
         kept = min(chunk, count - first)
         found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
-        progress(first + kept)
+        progress(kept)
     return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+
+
+def plan_keys(planner: Planner, count: int) -> Array:
+    """Of every pose, from the planner's seed."""
+    return jax.random.split(jax.random.key(planner.config.seed), count)
 
 
 @partial(jax.jit, static_argnames="planner")

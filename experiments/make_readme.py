@@ -71,6 +71,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "handoffs": closing_tables.shipped_handoffs(folder),
             "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
             "throughput": closing_tables.throughput(throughput),
+            "devices": stage_tables.devices(folder / "devices_h100.json"),
             "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),

@@ -358,3 +358,25 @@ def tests(path: Path) -> str:
     )
     header = ("Python", "JAX", "device", "passed", "failed", "skipped", "tests min", "setup min")
     return markdown(Table("Tests", (*header, "git"), rows, names=3))
+
+
+def devices(path: Path) -> str:
+    """Trainings on several GPUs of one host, and how they ended."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    rows = tuple(
+        (
+            d["provenance"]["device"],
+            f"{r['devices']}",
+            {"processes": "one each"}.get(r["way"], "one")
+            + (", donating" * (r["way"] == "donate")),
+            f"{r['worlds']:,}",
+            r["outcome"].split(":")[0],
+            "" if r["steps_per_s"] is None else f"{r['steps_per_s']:,.0f}",
+            f"{r['iterations_done']} of {r['iterations']}",
+        )
+        for r in d["rows"]
+    )
+    header = ("device", "GPUs", "processes", "worlds of each", "came to", "control steps/s")
+    return markdown(Table("Several GPUs", (*header, "iterations"), rows, names=3))

@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from functools import partial
@@ -119,3 +120,24 @@ def test_a_comparison_by_two_processes_is_that_of_one(two_cores, tmp_path, monke
     one, two = (json.loads(files[n].read_text()) for n in (1, 2))
     assert one["rows"] == two["rows"] and len(one["rows"]) == 2
     assert one["settings"]["processes"] == two["settings"]["processes"] == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "command",
+    [
+        "evaluate --controller squeeze --objects foam_brick sugar_box --episodes 2",
+        "sweep_reach --preset straight --no-bound --poses 6 --chunk 3",
+    ],
+)
+def test_a_command_by_two_processes_writes_what_it_writes_alone(two_cores, tmp_path, command):
+    files = [tmp_path / f"{n}.json" for n in (1, 2)]
+    for n, out in enumerate(files, start=1):
+        words = f"-m mjx_grasp.{command} --processes {n} --out {out}".split()
+        done = subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, timeout=500, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    one, two = (json.loads(out.read_text()) for out in files)
+    different = {"provenance", "seconds"} | ({"settings"} if command.startswith("e") else set())
+    assert {name for name in one if one[name] != two[name]} <= different

@@ -86,10 +86,8 @@ class Reaching:
         if self._looks:
             with self._timed("planning"):
                 plan = settings.plan or PlanConfig()
-                self._planner, self._library = (
-                    Planner(self._reacher, plan),
-                    start_library(body, plan),
-                )
+                self._planner = Planner(self._reacher, plan)
+                self._library = start_library(body, plan)
                 self._keys = plan_keys(self._planner, asked.poses)
 
     def share(self, rows: slice) -> Reached:
@@ -162,7 +160,8 @@ def run_sweep(
     ticks = count * round(control.timeout / control.dt)
     with counting_progress(console) as progress:
         if over.alone:
-            jobs = {"planning": progress.add_task("inverse kinematics", total=count)}
+            looks = settings.plan is not None or bound
+            jobs = {"planning": progress.add_task("inverse kinematics", total=count, visible=looks)}
             jobs["reaching"] = progress.add_task("reaching", total=ticks)
             setup = partial(Reaching, asked, lambda at, n: progress.advance(jobs[at], n))
         else:

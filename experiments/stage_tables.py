@@ -5,6 +5,7 @@ Each takes the path of one results file and gives Markdown; `make_readme.py` put
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -360,23 +361,63 @@ def tests(path: Path) -> str:
     return markdown(Table("Tests", (*header, "git"), rows, names=3))
 
 
-def devices(path: Path) -> str:
-    """Trainings on several GPUs of one host, and how they ended."""
-    d = read(path)
-    if d is None:
-        return NOTHING
-    rows = tuple(
-        (
-            d["provenance"]["device"],
-            f"{r['devices']}",
-            {"processes": "one each"}.get(r["way"], "one")
-            + (", donating" * (r["way"] == "donate")),
-            f"{r['worlds']:,}",
-            r["outcome"].split(":")[0],
-            "" if r["steps_per_s"] is None else f"{r['steps_per_s']:,.0f}",
-            f"{r['iterations_done']} of {r['iterations']}",
-        )
+def devices(paths: Sequence[Path]) -> str:
+    """Trainings on several GPUs of one host: how they ended, how fast, and what they learned."""
+    files = [read_json(path, "a results file") for path in paths]
+    found = [
+        (d["provenance"]["device"], r | {"seed": d["settings"]["seed"]})
+        for d in files
         for r in d["rows"]
-    )
-    header = ("device", "GPUs", "processes", "worlds of each", "came to", "control steps/s")
-    return markdown(Table("Several GPUs", (*header, "iterations"), rows, names=3))
+    ]
+    alone = {
+        (device, r["worlds"]): r["steps_per_s"] for device, r in found if r["devices"] == 1
+    }
+    rows = []
+    for device, r in sorted(found, key=lambda x: (x[1]["worlds"], x[1]["devices"])):
+        speed, one = r["steps_per_s"], alone.get((device, r["worlds"]))
+        compared = speed and one and r["devices"] > 1
+        rows.append(
+            (
+                device,
+                str(r["devices"]),
+                {"processes": "one each", "donate": "one, donating"}.get(r["way"], "one"),
+                f"{r['worlds']:,}",
+                r["outcome"].split(":")[0],
+                f"{r['env_steps'] / 1e6:.1f}",
+                f"{speed:,.0f}" if speed else "",
+                f"{speed / one:.2f}" if compared else "",
+                "" if r["success_percent"] is None else f"{r['success_percent']:.1f}",
+                str(r["seed"]),
+            )
+        )
+    header = (
+        "device", "GPUs", "processes", "worlds of each", "came to", "M steps", "control steps/s",
+        "times one", "success %", "seed",
+    )  # fmt: skip
+    return markdown(Table("Several GPUs", header, tuple(rows), names=3)) if rows else NOTHING
+
+
+def tuned(paths: Sequence[Path]) -> str:
+    """Trainings that shared machines: how long each of them took, and all together."""
+    rows = []
+    for path in paths:
+        d = read_json(path, "a results file")
+        success = [r["trained_percent"] for r in d["rows"]]
+        took, gpus = d.get("took"), d["settings"]["gpus"]
+        rows.append(
+            (
+                d["provenance"]["device"],
+                ", ".join(dict.fromkeys(r["setting"] for r in d["rows"])),
+                str(len(success)),
+                f"{d['settings']['cpus']:g}",
+                f"{gpus:g}" if gpus else "",
+                f"{statistics.median(r['seconds'] for r in d['rows']):.0f}",
+                f"{took['seconds']:.0f}" if took else "",
+                f"{statistics.mean(success):.1f} ({min(success):.1f}–{max(success):.1f})",
+            )
+        )
+    header = (
+        "device", "preset", "seeds", "cores of each", "GPUs of each", "each s", "all s",
+        "success %, least to most",
+    )  # fmt: skip
+    return markdown(Table("Many trainings", header, tuple(rows), names=2)) if rows else NOTHING

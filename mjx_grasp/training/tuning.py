@@ -6,6 +6,8 @@ import csv
 import itertools
 import os
 import shutil
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -126,9 +128,17 @@ def tune(config: TuneConfig, console: Console) -> Table:
         check_new_folder("--out", config.out)
     for run in runs:
         _check(config.plan, run)
-    failed = run_all(config, [r for r in runs if not finished(config.out / r.name)], console)
+    todo, began = [r for r in runs if not finished(config.out / r.name)], time.monotonic()
+    failed = run_all(config, todo, console)
+    took = {"trainings": len(todo), "seconds": time.monotonic() - began}
     rows = gathered(config.out, runs)
-    content = {"schema": SCHEMA, "settings": to_record(config), "rows": rows, "provenance": made}
+    content = {
+        "schema": SCHEMA,
+        "settings": to_record(config),
+        "rows": rows,
+        "took": took,
+        "provenance": made,
+    }
     write_json(config.out / "table.json", content)
     if failed:
         said = "; ".join(f"{name}: {why}" for name, why in failed.items())
@@ -211,6 +221,7 @@ def train(folder: str, flags: list[str], cwd: str) -> None:
     if at.exists() and not (at / "provenance.json").exists():
         shutil.rmtree(at)  # cut short while it was opened
     argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
+    sys.argv = [str(Path(__file__).parents[1] / "train.py"), *argv]  # results say their command
     with open(os.devnull, "w") as nowhere:
         run_training(parse(argv), Console(file=nowhere))
     write_json(at / "finished.json", {"flags": flags})

@@ -96,7 +96,10 @@ PARTS = (
     Part(
         "reach",
         "convergence of reaching over tolerance and time",
-        ("-m mjx_grasp.sweep_reach --out experiments/results/reach_sweep_cpu.json",),
+        (
+            "-m mjx_grasp.sweep_reach --processes CORES "
+            "--out experiments/results/reach_sweep_cpu.json",
+        ),
     ),
     Part(
         "handoffs",
@@ -142,7 +145,7 @@ PARTS = (
         "pose-error",
         "success over errors of the object's pose at the handoff",
         (
-            "experiments/pose_error.py --objects-dir SCANS",
+            "experiments/pose_error.py --objects-dir SCANS --episodes 56 --processes CORES",
             "experiments/pose_error_figure.py",
         ),
     ),
@@ -150,7 +153,7 @@ PARTS = (
         "sensitivity",
         "success where friction, mass, finger stiffness or torque limits are not as modelled",
         (
-            "experiments/sensitivity.py --objects-dir SCANS",
+            "experiments/sensitivity.py --objects-dir SCANS --processes CORES",
             "experiments/sensitivity_figure.py",
         ),
     ),
@@ -164,13 +167,13 @@ PARTS = (
         "whole grasps from home, with what the hardware demonstrations show",
         (
             "-m mjx_grasp.scenarios --objects-dir SCANS --episodes 6 --seed 9 "
-            "--out experiments/results/scenarios.json",
+            "--processes CORES --out experiments/results/scenarios.json",
         ),
     ),
     Part(
         "ablation",
         "whole grasps without one part of the method each",
-        ("experiments/pipeline_ablation.py --objects-dir SCANS",),
+        ("experiments/pipeline_ablation.py --objects-dir SCANS --processes CORES",),
     ),
     Part(
         "paper-policy",

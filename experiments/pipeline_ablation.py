@@ -7,7 +7,7 @@ setting by which it would choose once only: while a plan is followed its candida
 and without plans, in `paper-reaching`, it is the published selection of every tick.
 
 A variant under a scenario that is in the file already, of the same settings, files and revision of
-the code, is left alone, so that an interrupted run goes on.
+the code, is left alone, so that an interrupted run goes on; `--processes N` runs N of them at once.
 
   python experiments/pipeline_ablation.py --objects-dir SCANS
 """
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,6 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import tyro
 from pipeline_tables import FULL
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
@@ -38,6 +37,7 @@ from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
+from mjx_grasp.evaluation.spread import Spread, spread, unspread
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.config import GrasperConfig
@@ -134,7 +134,7 @@ VARIANTS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class PipelineAblationConfig(GraspsConfig):
+class PipelineAblationConfig(GraspsConfig, Spread):
     """What to leave out, and under which circumstances."""
 
     out: Annotated[Path, Suffix((".json",))] = Path("experiments/results/pipeline_ablation.json")
@@ -228,62 +228,92 @@ def kept(
     return before["results"]
 
 
-def show(bar: Progress, job: TaskID, share: float) -> None:
-    """Which share of a run is done."""
-    bar.update(job, completed=round(_PERCENT * share))
+class Systems:
+    """What runs the variants: their controllers, and what their runs share.
+
+    Args:
+        config: Which variants, with what.
+        progress: Told which share of a run is done.
+
+    Raises:
+        InputError, FileError: A variant that there is not, or a robot or policy that cannot be had.
+    """
+
+    def __init__(
+        self,
+        config: PipelineAblationConfig,
+        progress: Callable[[float], None] = lambda share: None,
+    ):
+        robot = load_robot(config.robot)
+        self.file = config.policy or asset_path("policy.npz")
+        closing, policy = loaded_policy(robot, self.file, config.force_budget)
+        self.of = {name: system_of(VARIANTS[name], closing) for name in chosen(config.variants)}
+        self.makers, self._progress = Makers(config, robot), progress
+        self._make = {system: maker(system, policy) for system in self.of.values()}
+
+    def check(self, name: str, scenario: Scenario) -> None:
+        """Refuses a run before anything long starts.
+
+        Raises:
+            InputError: The variant cannot do it, or the objects cannot be had.
+        """
+        if self.of[name].reaching.plan is None and scenario.approach != "any":
+            free = f"one without an approach: {name} does not plan"
+            raise InputError("--scenarios", scenario.approach, free)
+        self.makers.objects(scenario)
+
+    def run(self, job: tuple[str, Scenario]) -> dict[str, Any]:
+        """A variant's trials under a scenario, and how long they took."""
+        name, scenario = job
+        started = time.perf_counter()
+        rows = self.makers.run(scenario, self._make[self.of[name]], self._progress)
+        return {"seconds": round(time.perf_counter() - started, 1)} | trials(rows)
 
 
 def main(config: PipelineAblationConfig) -> None:
     """Runs what is not there yet."""
     check_writable("--out", config.out)
-    names, scenarios = chosen(config.variants), load_scenarios(config.scenarios)
-    made, robot, console = provenance(config.seed), load_robot(config.robot), Console(stderr=True)
-    file = config.policy or asset_path("policy.npz")
-    closing, policy = loaded_policy(robot, file, config.force_budget)
-    systems = {name: system_of(VARIANTS[name], closing) for name in names}
-    make = {system: maker(system, policy) for system in systems.values()}
-    given = {
-        (name, at): replace(scenario, **VARIANTS[name].scenario)
-        for name in names
-        for at, scenario in scenarios.items()
-    }
-    makers = Makers(config, robot)
-    for (name, _), scenario in given.items():  # refuses before anything long starts
-        if systems[name].reaching.plan is None and scenario.approach != "any":
-            free = f"one without an approach: {name} does not plan"
-            raise InputError("--scenarios", scenario.approach, free)
-        makers.objects(scenario)
-    asked = {k: v for k, v in to_record(config).items() if k not in _ASKED}
-    header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=file)}
-    results = kept(config.out, header, made, console)
-    by = {
-        (name, at): about(VARIANTS[name], scenario, makers.objects(scenario))
-        for (name, at), scenario in given.items()
-    }
-
-    def is_done(name: str, at: str) -> bool:
-        found = results.get(name, {}).get(at, {})
-        return all(found.get(what) == value for what, value in by[name, at].items())
-
-    left = [pair for pair in given if not is_done(*pair)]
+    scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
+    console = Console(stderr=True)
     with counting_progress(console) as bar:
+        one = bar.add_task("this one", total=_PERCENT, visible=config.alone)
+        systems = Systems(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
+        given = {
+            (name, at): replace(scenario, **VARIANTS[name].scenario)
+            for name in systems.of
+            for at, scenario in scenarios.items()
+        }
+        for (name, _), scenario in given.items():
+            systems.check(name, scenario)
+        asked = {k: v for k, v in to_record(unspread(config)).items() if k not in _ASKED}
+        header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=systems.file)}
+        results = kept(config.out, header, made, console)
+        by = {
+            (name, at): about(VARIANTS[name], scenario, systems.makers.objects(scenario))
+            for (name, at), scenario in given.items()
+        }
+
+        def is_done(name: str, at: str) -> bool:
+            found = results.get(name, {}).get(at, {})
+            return all(found.get(what) == value for what, value in by[name, at].items())
+
+        left = [pair for pair in given if not is_done(*pair)]
         runs = bar.add_task("variants under scenarios", total=len(given))
         bar.update(runs, completed=len(given) - len(left))
-        for name, at in left:
-            started, scenario = time.perf_counter(), given[name, at]
-            job = bar.add_task(f"{name}, {at}", total=_PERCENT)
-            rows = makers.run(scenario, make[systems[name]], partial(show, bar, job))
-            seconds = {"seconds": round(time.perf_counter() - started, 1)}
-            results.setdefault(name, {})[at] = by[name, at] | seconds | trials(rows)
+        setup = (lambda: systems) if config.alone else partial(Systems, config)
+        jobs = [(name, given[name, at]) for name, at in left]
+        for (name, at), found in zip(left, spread(config, Systems.run, jobs, setup), strict=True):
+            results.setdefault(name, {})[at] = by[name, at] | found
             ordered = {name: results[name] for name in VARIANTS if name in results}
             says = {name: VARIANTS[name].says for name in ordered}
             content = header | {"variants": says, "results": ordered, "provenance": made}
             write_json(config.out, content)
-            bar.remove_task(job)
             bar.update(runs, advance=1)
     Console().print(scenario_table({f"{n}, {at}": results[n][at] for n, at in given}))
     console.print(f"written: {config.out}")
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(PipelineAblationConfig, description=__doc__)))
+    import pipeline_ablation as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.PipelineAblationConfig, description=__doc__)))

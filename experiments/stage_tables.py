@@ -369,9 +369,7 @@ def devices(paths: Sequence[Path]) -> str:
         for d in files
         for r in d["rows"]
     ]
-    alone = {
-        (device, r["worlds"]): r["steps_per_s"] for device, r in found if r["devices"] == 1
-    }
+    alone = {(device, r["worlds"]): r["steps_per_s"] for device, r in found if r["devices"] == 1}
     rows = []
     for device, r in sorted(found, key=lambda x: (x[1]["worlds"], x[1]["devices"])):
         speed, one = r["steps_per_s"], alone.get((device, r["worlds"]))

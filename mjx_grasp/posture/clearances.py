@@ -26,7 +26,7 @@ def proximities(
 ) -> tuple[dict[str, Proximity], Float[Array, " m"]]:
     """Distances to all that must stay apart, by kind, and what is asked for of each, [m]."""
     parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
-    near = {"object": stacked([object_proximity(body, s, motion, around) for s in parts])}
+    near = {"object": object_proximity(body, parts, motion, around)}
     safe = [clearances.object] * len(near["object"].distance)
     if around.obstacles.shape[0]:
         near["obstacles"] = stacked([obstacle_proximity(body, s, motion, around) for s in parts])

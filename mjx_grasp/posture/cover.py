@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -46,6 +47,20 @@ class Solids:
     def rows(self) -> int:
         """How many constraints they get against object or obstacles."""
         return len(self.groups) * (1 if self.are_points else 3)
+
+
+def merged(parts: Sequence[Solids]) -> Solids:
+    """Several sets of solids as one, with all their groups."""
+    firsts = np.cumsum([0, *(len(solids.frame) for solids in parts[:-1])])
+    groups = [list(g + n) for n, solids in zip(firsts, parts, strict=True) for g in solids.groups]
+    return Solids(
+        frame=np.concatenate([solids.frame for solids in parts]),
+        start=np.concatenate([solids.start for solids in parts]),
+        end=np.concatenate([solids.end for solids in parts]),
+        radius=np.concatenate([solids.radius for solids in parts]),
+        groups=padded(groups),
+        names=tuple(name for solids in parts for name in solids.names),
+    )
 
 
 @dataclass(frozen=True)

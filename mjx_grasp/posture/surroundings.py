@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, turned, turned_back, unit
 from mjx_grasp.posture.body import Body
-from mjx_grasp.posture.cover import Solids
+from mjx_grasp.posture.cover import Solids, merged
 from mjx_grasp.robot.kinematics import Motion
 
 # Points of a segment at which its distance is looked at, after both ends.
@@ -155,32 +156,45 @@ def nearest_on_segments(
     return t, best, low, high
 
 
-def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, " n"]) -> Int[Array, " g"]:
+def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, "*b n"]) -> Int[Array, "*b g"]:
     """Of each group the member that is nearest."""
-    choice = jnp.argmin(distance[groups], axis=-1)
-    return jnp.take_along_axis(jnp.asarray(groups), choice[:, None], axis=-1)[:, 0]
+    choice = jnp.argmin(distance[..., groups], axis=-1)
+    return jnp.asarray(groups)[np.arange(len(groups)), choice]
 
 
-def object_proximity(body: Body, solids: Solids, motion: Motion, around: Surroundings) -> Proximity:
-    """Distances of every group of ``solids`` to the object: :attr:`Solids.rows` of them."""
-    start, end = placed(solids, motion)
+def object_proximity(
+    body: Body, parts: Sequence[Solids], motion: Motion, around: Surroundings
+) -> Proximity:
+    """Distances of every group of ``parts`` to the object: :attr:`Solids.rows` of each.
 
-    def rows(at: Float[Array, "n 3"], distance: Float[Array, " n"]) -> Proximity:
+    Of segments first those of the nearest points, then of the starts, then of the ends; points come
+    last. The shape is asked about all parts at once, as each question has its price, however small.
+    """
+    centres, radii, moves = [], [], []
+
+    def keep(solids: Solids, at: Float[Array, "k n 3"], distance: Float[Array, "k n"]) -> None:
         pick = _picked(solids.groups, distance - solids.radius)
-        centre = at[pick]
-        exact, normal = distance_and_normal(around.shape, to_object(around, centre))
-        normal = turned(around.R_wo, normal)
-        moves = jnp.asarray(body.moves[solids.frame], centre.dtype)[pick]
-        surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
-        slope = slopes(motion, moves, centre, normal)
-        return Proximity(exact - jnp.asarray(solids.radius)[pick], slope, -dot(normal, surface))
+        centres.append(jnp.concatenate([p[k] for p, k in zip(at, pick, strict=True)]))
+        radii.append(jnp.asarray(solids.radius)[pick].reshape(-1))
+        moves.append(jnp.asarray(body.moves[solids.frame], at.dtype)[pick.reshape(-1)])
 
-    if solids.are_points:
-        return rows(start, signed_distance(around.shape, to_object(around, start)))
-    ends = (to_object(around, start), to_object(around, end))
-    t, least, low, high = nearest_on_segments(around.shape, *ends)
-    nearest = start + t[:, None] * (end - start)
-    return stacked([rows(nearest, least), rows(start, low), rows(end, high)])
+    if spans := [solids for solids in parts if not solids.are_points]:
+        solids = merged(spans)
+        start, end = placed(solids, motion)
+        inside = to_object(around, start), to_object(around, end)
+        t, *distances = nearest_on_segments(around.shape, *inside)
+        nearest = start + t[:, None] * (end - start)
+        keep(solids, jnp.stack([nearest, start, end]), jnp.stack(distances))
+    if points := [solids for solids in parts if solids.are_points]:
+        solids = merged(points)
+        at, _ = placed(solids, motion)
+        keep(solids, at[None], signed_distance(around.shape, to_object(around, at))[None])
+    centre = jnp.concatenate(centres)
+    exact, normal = distance_and_normal(around.shape, to_object(around, centre))
+    normal = turned(around.R_wo, normal)
+    surface = around.v_wo[:3] + jnp.cross(around.v_wo[3:], centre - around.p_wo)
+    slope = slopes(motion, jnp.concatenate(moves), centre, normal)
+    return Proximity(exact - jnp.concatenate(radii), slope, -dot(normal, surface))
 
 
 def obstacle_proximity(

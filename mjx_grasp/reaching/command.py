@@ -113,6 +113,17 @@ def half_spaces(
     return everything.slope, bound, near
 
 
+class _Shortening(NamedTuple):
+    """A command on its way to one that holds."""
+
+    x: Float[Array, " joints"]
+    """that comes next [rad/s]"""
+    checked: Float[Array, " joints"]
+    """the one before it [rad/s]"""
+    holds: Bool[Array, ""]
+    """whether that one keeps all distances"""
+
+
 def scaled_back(
     body: Body,
     config: ReachConfig,
@@ -147,17 +158,23 @@ def scaled_back(
     still = now.distance + (dt * now.drift if limits.follow_object else 0.0)
 
     # Distances are not linear in the joints: what is left of the command has to show that it holds.
-    def shortened(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x = state[0]
+    def shortened(state: _Shortening) -> _Shortening:
+        x = state.x
         moved, safe = after(x)
         least = jnp.minimum(still, safe + _ROOM * limits.margin)
         share = (still - least) / jnp.maximum(still - moved, _TINY)
         shorter = jnp.min(jnp.where((moved < least) & (still > 0), share, 1.0)) * x
         holds = (moved >= jnp.minimum(still, safe)) | (still <= 0)
-        return shorter, x, jnp.all(holds)
+        return _Shortening(shorter, x, jnp.all(holds))
+
+    def unless_settled(_: Array, state: _Shortening) -> _Shortening:
+        # What holds and needs no shortening is not looked at again.
+        settled = state.holds & jnp.all(state.x == state.checked)
+        return jax.lax.cond(settled, lambda s: s, shortened, state)
 
     # A loop, so that the distances are compiled once.
-    _, checked, holds = jax.lax.fori_loop(0, 2, shortened, (x, x, jnp.array(False)))
+    begin = _Shortening(x, x, jnp.array(False))
+    _, checked, holds = jax.lax.fori_loop(0, 2, unless_settled, begin)
     return jnp.where(holds, checked, 0.0)
 
 

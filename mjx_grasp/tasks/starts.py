@@ -37,6 +37,8 @@ class StartTable(NamedTuple):
     """contacts on the object's surface"""
     hull: Float[Array, "k v 3"]
     """convex hull vertices of each object, object frame, padded by repetition [m]"""
+    lowest: Float[Array, " n"]
+    """height of the object's lowest point over its origin, as it stands at the start [m]"""
 
 
 class StartDraw(NamedTuple):
@@ -93,8 +95,11 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
     ctrl = np.zeros((n, model.nu))
     ctrl[:, at.robot_ctrl] = q
     measured, truth = at_rest(scene, qpos, substeps)
+    object_index = jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32)
+    hulls = jnp.asarray(_hulls(scene))
+    each = (object_index, truth.object_quat)
     return StartTable(
-        object_index=jnp.asarray(np.array(lookup)[handoffs.object_index], jnp.int32),
+        object_index=object_index,
         qpos=jnp.asarray(qpos, jnp.float32),
         ctrl=jnp.asarray(ctrl, jnp.float32),
         measured=measured,
@@ -103,7 +108,8 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
             jnp.asarray(handoffs.target_pos, jnp.float32),
             jnp.asarray(handoffs.target_normal, jnp.float32),
         ),
-        hull=jnp.asarray(_hulls(scene)),
+        hull=hulls,
+        lowest=jax.lax.map(lambda row: _lowest(hulls[row[0]], row[1]), each),
     )
 
 
@@ -173,13 +179,15 @@ def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Ar
         hull = starts.hull[starts.object_index[draw.row]]
         angle = jnp.linalg.norm(draw.rotation, axis=-1)
         axis = draw.rotation / jnp.maximum(angle, 1e-9)[:, None]
-        turned_quat = so3.quat_mul(so3.quat_from_axis_angle(axis, angle), quat)
-        lowest = [
-            jnp.min(so3.quat_rotate(q[:, None], hull)[..., 2], -1) for q in (quat, turned_quat)
-        ]
-        pos = pos.at[:, 2].add(lowest[0] - lowest[1])
-        quat = turned_quat
+        quat = so3.quat_mul(so3.quat_from_axis_angle(axis, angle), quat)
+        pos = pos.at[:, 2].add(starts.lowest[draw.row] - _lowest(hull, quat))
     return jnp.concatenate([pos, quat], axis=-1)
+
+
+def _lowest(points: Float[Array, "*b v 3"], quat: Float[Array, "*b 4"]) -> Float[Array, "*b"]:
+    """Height of the lowest of an object's points over its origin, the object turned so [m]."""
+    x, y, z = (so3.quat_to_mat(quat)[..., None, 2, k] * points[..., k] for k in range(3))
+    return jnp.min(x + y + z, axis=-1)
 
 
 def draw_params(starts: StartTable, draw: StartDraw) -> WorldParams:

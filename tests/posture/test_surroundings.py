@@ -11,11 +11,13 @@ import pytest
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Box, Cylinder, signed_distance
 from mjx_grasp.posture.surroundings import (
+    Proximity,
     Surroundings,
     finger_proximity,
     nearest_on_segments,
     object_proximity,
     obstacle_proximity,
+    stacked,
     table_proximity,
 )
 from mjx_grasp.reaching.command import half_spaces
@@ -106,13 +108,30 @@ def test_distance_to_the_object_is_that_of_mujoco(body, oracle):
 
         @jax.jit
         def ours(q, solids=solids):
-            near = object_proximity(body, solids, body.kinematics.motion(q), _around())
+            near = object_proximity(body, [solids], body.kinematics.motion(q), _around())
             return near.distance.min()
 
         for q in _configurations(body, 12):
             exact = distance(q, bodies, [cylinder])
             if exact > 1e-3:  # MuJoCo's depth of penetration is another notion
                 assert float(ours(q)) == pytest.approx(exact, abs=tolerance)
+
+
+def test_parts_asked_about_together_are_as_near_as_each_alone(body):
+    parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
+    motion = body.kinematics.motion(jnp.asarray(_configurations(body, 1, seed=3)[0]))
+    around = _around()._replace(v_wo=jnp.asarray([0.1, 0.0, 0.2, 0.0, 0.3, 0.0]))
+    together = object_proximity(body, parts, motion, around)
+    assert len(together.distance) == sum(solids.rows for solids in parts)
+    hand, palm, arm = (object_proximity(body, [solids], motion, around) for solids in parts)
+
+    def thirds(near):
+        leaves = zip(*(jnp.split(leaf, 3) for leaf in near), strict=True)
+        return [Proximity(*part) for part in leaves]
+
+    of_segments = [part for both in zip(thirds(hand), thirds(arm), strict=True) for part in both]
+    for one, other in zip(together, stacked([*of_segments, palm]), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
 
 
 def test_distance_between_fingers_is_that_of_mujoco(body, oracle):
@@ -136,8 +155,7 @@ def test_slopes_are_derivatives_of_distances(body):
     def distances(q):
         motion = body.kinematics.motion(q)
         parts = [
-            object_proximity(body, body.hand_capsules, motion, around),
-            object_proximity(body, body.palm_points, motion, around),
+            object_proximity(body, [body.hand_capsules, body.palm_points], motion, around),
             obstacle_proximity(body, body.hand_capsules, motion, around),
             table_proximity(body, body.hand_capsules, groups, motion),
             finger_proximity(body, motion),
@@ -183,8 +201,11 @@ def test_moving_obstacles_and_objects_drift(body):
         R_wo=so3.exp(dt * moving.v_wo[3:]) @ moving.R_wo,
         obstacles=moving.obstacles.at[:, :3].add(dt * moving.obstacle_velocity),
     )
-    for measure in (object_proximity, obstacle_proximity):
-        now = measure(body, body.hand_capsules, motion, moving)
-        then = measure(body, body.hand_capsules, motion, later)
+    for measure, solids in (
+        (object_proximity, [body.hand_capsules]),
+        (obstacle_proximity, body.hand_capsules),
+    ):
+        now = measure(body, solids, motion, moving)
+        then = measure(body, solids, motion, later)
         change = (then.distance - now.distance) / dt
         np.testing.assert_allclose(now.drift, change, atol=0.01)

@@ -196,7 +196,7 @@ PARTS = (
             *(
                 "experiments/evaluate_controllers.py --objects-dir SCANS "
                 f"--policy {FOLDER}/{run}/policy.npz --force-budgets 3 --squeeze-forces "
-                f"--episodes 32 --out experiments/results/end_to_end/{run}.json"
+                f"--episodes 32 --processes CORES --out experiments/results/end_to_end/{run}.json"
                 for run in ("e2e-paper-0", "e2e-paper-1", "e2e-best")
             ),
             f"experiments/collect_runs.py {END_TO_END_RUNS}",
@@ -305,7 +305,9 @@ def _run(command: str, scans: Path, console: Console) -> None:
     words = [given.get(word, word) for word in shlex.split(command)]
     console.print(f"[dim]python {command}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
-    code = subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode
+    # What all cores share runs in native MuJoCo; on one GPU the processes would only wait.
+    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if "CORES" in command else {})
+    code = subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=False).returncode
     if code:
         raise MjxGraspError(
             f"python {command}: ended with {code}; once it is mended, the same command goes on here"

@@ -276,7 +276,7 @@ def main(config: PipelineAblationConfig) -> None:
     scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
     console = Console(stderr=True)
     with counting_progress(console) as bar:
-        one = bar.add_task("this one", total=_PERCENT, visible=config.alone)
+        one = bar.add_task("", total=_PERCENT, visible=config.alone)
         systems = Systems(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
         given = {
             (name, at): replace(scenario, **VARIANTS[name].scenario)
@@ -302,13 +302,17 @@ def main(config: PipelineAblationConfig) -> None:
         bar.update(runs, completed=len(given) - len(left))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
         jobs = [(name, given[name, at]) for name, at in left]
-        for (name, at), found in zip(left, spread(config, Systems.run, jobs, setup), strict=True):
+        names = [", ".join(pair) for pair in left]
+        bar.update(one, description=names[0] if names else "")
+        for k, found in enumerate(spread(config, Systems.run, jobs, setup)):
+            name, at = left[k]
             results.setdefault(name, {})[at] = by[name, at] | found
             ordered = {name: results[name] for name in VARIANTS if name in results}
             says = {name: VARIANTS[name].says for name in ordered}
             content = header | {"variants": says, "results": ordered, "provenance": made}
             write_json(config.out, content)
             bar.update(runs, advance=1)
+            bar.reset(one, description=names[min(k + 1, len(names) - 1)])
     Console().print(scenario_table({f"{n}, {at}": results[n][at] for n, at in given}))
     console.print(f"written: {config.out}")
 

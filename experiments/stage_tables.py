@@ -385,12 +385,13 @@ def devices(paths: Sequence[Path]) -> str:
                 f"{speed:,.0f}" if speed else "",
                 f"{speed / one:.2f}" if compared else "",
                 "" if r["success_percent"] is None else f"{r['success_percent']:.1f}",
+                "" if r["force_n"] is None else f"{r['force_n']:.1f}",
                 str(r["seed"]),
             )
         )
     header = (
         "device", "GPUs", "processes", "worlds of each", "came to", "M steps", "control steps/s",
-        "times one", "success %", "seed",
+        "times one", "success %", "force N", "seed",
     )  # fmt: skip
     return markdown(Table("Several GPUs", header, tuple(rows), names=3)) if rows else NOTHING
 
@@ -401,7 +402,7 @@ def tuned(paths: Sequence[Path]) -> str:
     for path in paths:
         d = read_json(path, "a results file")
         success = [r["trained_percent"] for r in d["rows"]]
-        took, gpus = d.get("took"), d["settings"]["gpus"]
+        took, gpus = d.get("took_s"), d["settings"]["gpus"]
         rows.append(
             (
                 d["provenance"]["device"],
@@ -410,12 +411,12 @@ def tuned(paths: Sequence[Path]) -> str:
                 f"{d['settings']['cpus']:g}",
                 f"{gpus:g}" if gpus else "",
                 f"{statistics.median(r['seconds'] for r in d['rows']):.0f}",
-                f"{took['seconds']:.0f}" if took else "",
+                f"{took:.0f}" if took else "",
                 f"{statistics.mean(success):.1f} ({min(success):.1f}–{max(success):.1f})",
             )
         )
     header = (
-        "device", "preset", "seeds", "cores of each", "GPUs of each", "each s", "all s",
+        "device", "setting", "seeds", "cores of each", "GPUs of each", "each s, median", "all s",
         "success %, least to most",
     )  # fmt: skip
     return markdown(Table("Many trainings", header, tuple(rows), names=2)) if rows else NOTHING

@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.training.config import settings_of
 
@@ -529,3 +530,14 @@ def test_every_command_of_the_paper_is_one_of_this_repository():
             path = first if first.endswith(".py") else f"{first.replace('.', '/')}.py"
             source = (ROOT / path).exists() or (ROOT / path.removesuffix(".py")).is_dir()
             assert source, command
+
+
+def test_commands_of_the_paper_that_use_all_cores_can_share_their_work(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module = script("paper")
+    for command in (command for part in module.PARTS for command in part.commands):
+        first, *_ = command.split()
+        if "--processes CORES" in command and first.endswith(".py"):
+            found = vars(script(Path(first).stem)).values()
+            own = [c for c in found if isinstance(c, type) and c.__module__ == Path(first).stem]
+            assert any(issubclass(c, Spread) for c in own), command

@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -273,3 +275,24 @@ def test_planned_and_published_reaching_are_compared_on_one_object(ablation, tmp
     assert found["full"]["nominal"]["all"]["success"] == 1
     (published,) = found["paper-reaching"]["nominal"]["rows"]
     assert published["outcome"] in OUTCOMES
+
+
+@pytest.mark.long
+def test_two_processes_write_what_one_does(tmp_path):
+    if len(os.sched_getaffinity(0)) < 2:
+        pytest.skip("needs two cores")
+    found = []
+    for n in (1, 2):
+        out = tmp_path / f"{n}.json"
+        words = "--objects foam_brick --episodes 1 --scenarios nominal --variants grip squeeze-5"
+        command = [sys.executable, EXPERIMENTS / "pipeline_ablation.py", *words.split()]
+        command += ["--processes", str(n), "--out", out]
+        done = subprocess.run(
+            list(map(str, command)), capture_output=True, text=True, timeout=900, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        content = json.loads(out.read_text())
+        assert content["config"]["processes"] == 1
+        results = content["results"]
+        found.append({name: of["nominal"]["rows"] for name, of in results.items()})
+    assert found[0] == found[1] and list(found[0]) == ["grip", "squeeze-5"]

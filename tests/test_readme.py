@@ -454,21 +454,27 @@ def test_many_grasps_at_once_have_their_table(tmp_path):
 def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
     table = make_readme.stage_tables.devices
     assert table([]) == make_readme.stage_tables.NOTHING
-    row = {"worlds": 4096, "outcome": "finished", "env_steps": 2_500_000, "success_percent": 84.56}
+    row = {
+        "worlds": 4096,
+        "outcome": "finished",
+        "env_steps": 2_500_000,
+        "success_percent": 84.56,
+        "force_n": 2.04,
+    }
     rows = [
         row | {"devices": 2, "way": "donate", "steps_per_s": 190_000.0},
         row | {"devices": 1, "way": "sharded", "steps_per_s": 100_000.0},
-        row | {"devices": 2, "way": "processes", "steps_per_s": None, "success_percent": None}
-        | {"outcome": "failed (-11): and why", "env_steps": 0},
+        row | dict.fromkeys(("steps_per_s", "success_percent", "force_n"))
+        | {"devices": 2, "way": "processes", "outcome": "failed (-11): and why", "env_steps": 0},
         row | {"devices": 2, "worlds": 8192, "way": "sharded", "steps_per_s": 1e6},
     ]  # fmt: skip
     path = tmp_path / "devices.json"
     made = {"settings": {"seed": 3}, "rows": rows, "provenance": PROVENANCE}
     path.write_text(json.dumps(made))
     one, donating, processes, more = map(values, table([path]).splitlines()[2:])
-    assert one[1:] == ["1", "one", "4,096", "finished", "2.5", "100,000", "", "84.6", "3"]
+    assert one[1:] == ["1", "one", "4,096", "finished", "2.5", "100,000", "", "84.6", "2.0", "3"]
     assert donating[1:3] == ["2", "one, donating"] and donating[6:8] == ["190,000", "1.90"]
-    assert processes[2:] == ["one each", "4,096", "failed (-11)", "0.0", "", "", "", "3"]
+    assert processes[2:] == ["one each", "4,096", "failed (-11)", "0.0", "", "", "", "", "3"]
     assert more[6:8] == ["1,000,000", ""]
 
 
@@ -479,7 +485,7 @@ def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):
     ]
     record = {
         "settings": {"gpus": None, "cpus": 1.0}, "rows": rows,
-        "took": {"trainings": 3, "seconds": 41.6}, "provenance": PROVENANCE,
+        "took_s": 41.6, "provenance": PROVENANCE,
     }  # fmt: skip
     path = tmp_path / "tune.json"
     path.write_text(json.dumps(record))

@@ -90,8 +90,14 @@ def spread(
     import ray
     from ray.util import ActorPool
 
-    # Modules are found where this process finds them.
-    found = {"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}}
+    # Modules are found where this process finds them; nobody takes all of a GPU.
+    share = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    found = {
+        "env_vars": {
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            "XLA_PYTHON_CLIENT_PREALLOCATE": share,
+        }
+    }
     ray.init(
         over.address,
         num_cpus=over.processes if over.address is None else None,

@@ -119,7 +119,7 @@ class _Shortening(NamedTuple):
     x: Float[Array, " joints"]
     """that comes next [rad/s]"""
     checked: Float[Array, " joints"]
-    """the one before it [rad/s]"""
+    """that was looked at last [rad/s]"""
     holds: Bool[Array, ""]
     """whether that one keeps all distances"""
 
@@ -168,7 +168,8 @@ def scaled_back(
         return _Shortening(shorter, x, jnp.all(holds))
 
     def unless_settled(_: Array, state: _Shortening) -> _Shortening:
-        # What holds and needs no shortening is not looked at again.
+        # What holds and needs no shortening is not looked at again, but in a batch, where `cond`
+        # does both.
         settled = state.holds & jnp.all(state.x == state.checked)
         return jax.lax.cond(settled, lambda s: s, shortened, state)
 

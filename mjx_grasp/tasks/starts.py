@@ -109,6 +109,7 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
             jnp.asarray(handoffs.target_normal, jnp.float32),
         ),
         hull=hulls,
+        # One after the other: all points of all states at once may be too many.
         lowest=jax.lax.map(lambda row: _lowest(hulls[row[0]], row[1]), each),
     )
 
@@ -186,7 +187,9 @@ def placed_object(starts: StartTable, draw: StartDraw, turned: bool) -> Float[Ar
 
 def _lowest(points: Float[Array, "*b v 3"], quat: Float[Array, "*b 4"]) -> Float[Array, "*b"]:
     """Height of the lowest of an object's points over its origin, the object turned so [m]."""
-    x, y, z = (so3.quat_to_mat(quat)[..., None, 2, k] * points[..., k] for k in range(3))
+    up = so3.quat_to_mat(quat)[..., 2, :]
+    # Written out, so that a GPU neither rounds the products nor keeps one of each point.
+    x, y, z = (up[..., None, k] * points[..., k] for k in range(3))
     return jnp.min(x + y + z, axis=-1)
 
 

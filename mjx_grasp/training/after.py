@@ -34,7 +34,12 @@ FORCE_BUDGETS_N = (1.5, 3.0)
 
 
 def evaluate_run(
-    folder: Path, config: TrainConfig, world: World, states: HandoffSet, console: Console
+    folder: Path,
+    config: TrainConfig,
+    world: World,
+    states: HandoffSet,
+    console: Console,
+    command: str | None = None,
 ) -> None:
     """Evaluates in native MuJoCo on states that the training did not see: results.json, grasp.npz.
 
@@ -44,6 +49,7 @@ def evaluate_run(
         world: Its scene.
         states: Start states kept for evaluation.
         console: For progress and the table.
+        command: See `run_training`.
     """
     policy = load_policy(folder / "policy.npz")
     exact = SceneConfig().physics_dt  # a training may step more coarsely than it is judged
@@ -65,7 +71,7 @@ def evaluate_run(
         rows += new
         runs += trials.values()
     label, counted = f"policy, preset {config.preset}", incidents(runs)
-    made = provenance(config.seed)
+    made = provenance(config.seed, command)
     robot = scene.robot.identity
     adds_to_squeeze = alone is task and not answers_to_load(task)
     untrained = {"untrained_n": task.grip.force} if adds_to_squeeze else {}

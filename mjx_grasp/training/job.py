@@ -43,7 +43,10 @@ _OPENING = ("config.json", "provenance.json")
 
 
 def run_training(
-    config: TrainConfig, console: Console, extra_terms: tuple[RewardTerm, ...] = ()
+    config: TrainConfig,
+    console: Console,
+    extra_terms: tuple[RewardTerm, ...] = (),
+    command: str | None = None,
 ) -> Path:
     """Runs a training to its end and returns the run's folder.
 
@@ -53,6 +56,7 @@ def run_training(
         config: The settings.
         console: For progress and tables.
         extra_terms: Reward terms beside the task's own.
+        command: What its files say they were made by; by default what started this process.
 
     Raises:
         InputError, FileError: A setting or file that cannot work; no folder is made then.
@@ -74,7 +78,7 @@ def run_training(
     world = None if stored is None else _build(scene, stored, config, console)
     devices.wait("every process has looked at the folder")
     if devices.writes:
-        _open_run(config, folder, stored)
+        _open_run(config, folder, stored, command)
     try:
         if stored is None or world is None:
             try:
@@ -132,7 +136,7 @@ def _run(
     _save_policy(folder, state, config, names, world.scene.robot.identity)
     if config.evaluation_episodes:
         held_out = states_of(handoffs, names, "evaluation")
-        evaluate_run(folder, config, world, held_out, console)
+        evaluate_run(folder, config, world, held_out, console, command)
 
 
 def _check_same_handoffs(config: TrainConfig) -> None:
@@ -194,7 +198,9 @@ def _run_folder(config: TrainConfig) -> Path:
     return folder
 
 
-def _open_run(config: TrainConfig, folder: Path, stored: HandoffSet | None) -> None:
+def _open_run(
+    config: TrainConfig, folder: Path, stored: HandoffSet | None, command: str | None
+) -> None:
     """Writes the configuration and the provenance of a new run to its folder."""
     if config.resume is not None:
         return
@@ -206,7 +212,7 @@ def _open_run(config: TrainConfig, folder: Path, stored: HandoffSet | None) -> N
     else:
         kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
-    contents = (to_record(config), provenance(config.seed) | made_of)
+    contents = (to_record(config), provenance(config.seed, command) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         write_json(folder / name, content)
 

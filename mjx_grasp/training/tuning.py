@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import itertools
 import os
+import shlex
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
-from mjx_grasp.records.atomic import check_new_folder, write_json
+from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
 from mjx_grasp.tasks.assemble import has_gpu
@@ -128,22 +128,30 @@ def tune(config: TuneConfig, console: Console) -> Table:
         check_new_folder("--out", config.out)
     for run in runs:
         _check(config.plan, run)
-    todo, began = [r for r in runs if not finished(config.out / r.name)], time.monotonic()
-    failed = run_all(config, todo, console)
-    took = {"trainings": len(todo), "seconds": time.monotonic() - began}
+    table = config.out / "table.json"
+    before, began = _before(table), time.monotonic()
+    failed = run_all(config, [r for r in runs if not finished(config.out / r.name)], console)
     rows = gathered(config.out, runs)
     content = {
         "schema": SCHEMA,
         "settings": to_record(config),
+        "plan": yaml.safe_load(config.plan.read_text()),
         "rows": rows,
-        "took": took,
+        "took_s": before + time.monotonic() - began,
         "provenance": made,
     }
-    write_json(config.out / "table.json", content)
+    write_json(table, content)
     if failed:
         said = "; ".join(f"{name}: {why}" for name, why in failed.items())
         raise MjxGraspError(f"{len(failed)} of {len(runs)} trainings failed: {said}")
     return shown(rows)
+
+
+def _before(table: Path) -> float:
+    """How long earlier calls of the same plan have worked on it [s]."""
+    if not table.exists():
+        return 0.0
+    return read_json(table, "a table of trainings").get("took_s", 0.0)
 
 
 def finished(folder: Path) -> bool:
@@ -221,9 +229,10 @@ def train(folder: str, flags: list[str], cwd: str) -> None:
     if at.exists() and not (at / "provenance.json").exists():
         shutil.rmtree(at)  # cut short while it was opened
     argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
-    sys.argv = [str(Path(__file__).parents[1] / "train.py"), *argv]  # results say their command
+    shown = [os.path.relpath(word) if word == folder else word for word in argv]
+    command = shlex.join(["python", "-m", "mjx_grasp.train", *shown])
     with open(os.devnull, "w") as nowhere:
-        run_training(parse(argv), Console(file=nowhere))
+        run_training(parse(argv), Console(file=nowhere), command=command)
     write_json(at / "finished.json", {"flags": flags})
 
 

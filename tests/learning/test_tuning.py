@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import random
+import shlex
 import shutil
 import signal
 import subprocess
@@ -101,7 +102,9 @@ def trainings(monkeypatch):
     """What `train` would have run, instead of it."""
     asked = []
     monkeypatch.setattr(tuning, "parse", lambda argv: argv)
-    monkeypatch.setattr(tuning, "run_training", lambda argv, console: asked.append(argv))
+    monkeypatch.setattr(
+        tuning, "run_training", lambda argv, console, command: asked.append((argv, command))
+    )
     return asked
 
 
@@ -116,13 +119,17 @@ def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
     (folder / "config.json").touch()
     (tmp_path / "run" / "handoffs.npz").touch()
     train()
-    assert trainings.pop() == ["--seed", "1", "--out", str(folder)]
+    argv, command = trainings.pop()
+    assert argv == ["--seed", "1", "--out", str(folder)]
+    said = shlex.split(command)
+    assert said[:-1] == ["python", "-m", "mjx_grasp.train", "--seed", "1", "--out"]
+    assert Path(said[-1]).resolve() == folder and not Path(said[-1]).is_absolute()
     assert [p.name for p in folder.iterdir()] == ["finished.json"]
     shutil.rmtree(folder)
     folder.mkdir()
     (folder / "provenance.json").touch()
     train()
-    assert trainings == [["--resume", str(folder)]]
+    assert [argv for argv, _ in trainings] == [["--resume", str(folder)]]
     train()
     assert len(trainings) == 1, "it is finished"
 
@@ -209,10 +216,16 @@ def test_a_plan_is_trained_as_a_user_types_it(tmp_path):
         "handoffs_per_object: 4, evaluation_episodes: 0}\nsettings: {tiny: {}}\nseeds: [0, 1]"
     )
     command = [sys.executable, "-m", "mjx_grasp.tune", str(path), "--out", str(out)]
+    took = []
     for _ in range(2):
         done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
         assert done.returncode == 0, done.stderr
-    table = json.loads((out / "table.json").read_text())
+        table = json.loads((out / "table.json").read_text())
+        took.append(table["took_s"])
+    assert 1.0 < took[0] <= took[1] < took[0] + 1.0
+    assert table["plan"]["seeds"] == [0, 1]
+    made = json.loads((out / "tiny-seed1" / "provenance.json").read_text())
+    assert made["command"].startswith("python -m mjx_grasp.train --preset cpu")
     assert [row["seed"] for row in table["rows"]] == [0, 1]
     assert np.isfinite([row["seconds"] for row in table["rows"]]).all()
     assert {p.name for p in out.iterdir()} == {"tiny-seed0", "tiny-seed1", "table.json"}

@@ -49,8 +49,8 @@ def loft(
 
 def swept(
     path: Float[np.ndarray, "n 3"],
-    half_across: float | Float[np.ndarray, "n"],
-    half_up: float | Float[np.ndarray, "n"],
+    half_across: float | Float[np.ndarray, " n"],
+    half_up: float | Float[np.ndarray, " n"],
     edge: float,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     exponent: float = 2.0,

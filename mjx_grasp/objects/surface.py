@@ -47,7 +47,7 @@ def closest_on_triangles(
 
 def distance_to_surface(
     mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """Unsigned distance (m) from each point to the mesh's surface.
 
     Long triangles are first divided to edges of 3 % of the mesh's diagonal, so that the nearest
@@ -71,7 +71,7 @@ def distance_to_surface(
     return distance
 
 
-def inside(mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+def inside(mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Whether each point is inside the closed mesh: its winding number is above 0.
 
     The winding number is what a ray from the point leaves the surface more often than it enters it.
@@ -102,14 +102,14 @@ def inside(mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]) -> Bool[np.n
 
 def outside_distance(
     mesh: trimesh.Trimesh, points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """How far outside the closed mesh each point lies (m); 0 for points inside it."""
     return np.where(inside(mesh, points), 0.0, distance_to_surface(mesh, points))
 
 
 def sample_surface(
     triangles: Float[np.ndarray, "f 3 3"], count: int, seed: int
-) -> tuple[Float[np.ndarray, "count 3"], Int[np.ndarray, "count"]]:
+) -> tuple[Float[np.ndarray, "count 3"], Int[np.ndarray, " count"]]:
     """Points spread evenly by area, and the triangle that each came from; repeatable by seed."""
     rng = np.random.default_rng(seed)
     edges = triangles[:, 1:] - triangles[:, :1]

@@ -88,7 +88,7 @@ def run_training(
                     _discard_run(folder)
                 raise
             world = _build(scene, stored, config, console)
-        _run(folder, resumed, config, devices, world, stored, console, extra_terms)
+        _run(folder, resumed, config, devices, world, stored, console, extra_terms, command)
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
         again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
@@ -105,6 +105,7 @@ def _run(
     handoffs: HandoffSet,
     console: Console,
     extra_terms: tuple[RewardTerm, ...],
+    command: str | None,
 ) -> None:
     """Trains in an opened run, keeps the policy and evaluates it."""
     ppo = config.ppo

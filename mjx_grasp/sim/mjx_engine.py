@@ -48,7 +48,10 @@ class MjxPhysics:
         self.substeps = check_control_rate(scene, control_dt)
         # Warp would print a line per world whose line search stops early; Truth has overflows.
         quiet = {"opt._impl.warn_overflow": 0}
-        self._model = mjx.put_model(scene.model, impl="warp").tree_replace(quiet)
+        # By default MJX takes the first of all devices, which may be another process's.
+        self._device = jax.local_devices()[0]
+        model = mjx.put_model(scene.model, impl="warp", device=self._device)
+        self._model = model.tree_replace(quiet)
         self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
         self._rows = finger_rows(scene)
         names = (*ObjectFields.NAMES, "geom_friction")
@@ -65,7 +68,8 @@ class MjxPhysics:
 
     def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> mjx.Data:
         """See `Physics.init`."""
-        one = mjx.make_data(self.scene.model, impl="warp", **self.buffers)
+        model, on = self.scene.model, self._device
+        one = mjx.make_data(model, device=on, impl="warp", **self.buffers)
         data = jax.vmap(lambda q, c: one.replace(qpos=q, ctrl=c))(
             jnp.asarray(qpos, jnp.float32), jnp.asarray(ctrl, jnp.float32)
         )

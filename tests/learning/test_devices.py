@@ -126,6 +126,33 @@ def test_two_processes_train_together_and_one_goes_on_alone(tmp_path):
 
 
 @pytest.mark.long
+def test_two_processes_train_in_mjx(tmp_path):
+    """Each has the model on a device of its own, and none waits for one that is gone."""
+    flags = (
+        "--preset cpu --engine mjx --objects foam_brick --handoffs assets/handoffs_standins.npz "
+        "--ppo.worlds 16 --ppo.minibatches 4 --ppo.unroll 4 --ppo.iterations 2 "
+        f"--evaluation-episodes 0 --coordinator localhost:{free_port()} --processes 2"
+    )
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "mjx_grasp.train", *flags.split(), "--out", str(out)]
+    started = [
+        subprocess.Popen(
+            [*command, "--process", str(k)],
+            cwd=Path(__file__).parents[2],
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for k in range(2)
+    ]
+    for process in started:
+        said, _ = process.communicate(timeout=500)
+        assert process.returncode == 0, said
+    assert len((out / "metrics.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.long
 def test_ten_times_killed_and_resumed_on_other_devices_no_finished_iteration_is_lost(tmp_path):
     """Killed at any moment: what was kept is gone on with, and logged once."""
     rng, kills, start = random.Random(0), 10, 0

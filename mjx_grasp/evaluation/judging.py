@@ -159,7 +159,7 @@ def success_within_by_any(
     return 100.0 * weights @ (best <= budgets[:, None]).T
 
 
-def interval(values: Float[np.ndarray, "r *b"]) -> Float[np.ndarray, "2 *b"]:  # noqa: F821
+def interval(values: Float[np.ndarray, " r *b"]) -> Float[np.ndarray, " 2 *b"]:
     """Bootstrap 95 % interval of what was computed for each of the weights."""
     return np.quantile(values[1:], [0.025, 0.975], axis=0)
 

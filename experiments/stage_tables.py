@@ -362,17 +362,29 @@ def tests(path: Path) -> str:
 
 
 def devices(paths: Sequence[Path]) -> str:
-    """Trainings on several GPUs of one host: how they ended, how fast, and what they learned."""
+    """Trainings on several GPUs of one host: how they ended, how fast, and what they learned.
+
+    Each is compared with a single GPU at the same revision where there is one.
+    """
     files = [read_json(path, "a results file") for path in paths]
     found = [
-        (d["provenance"]["device"], r | {"seed": d["settings"]["seed"]})
+        (
+            d["provenance"]["device"],
+            r | {"seed": d["settings"]["seed"], "git": d["provenance"]["git"]},
+        )
         for d in files
         for r in d["rows"]
     ]
     alone = {(device, r["worlds"]): r["steps_per_s"] for device, r in found if r["devices"] == 1}
+    alone |= {
+        (device, r["worlds"], r["git"]): r["steps_per_s"]
+        for device, r in found
+        if r["devices"] == 1
+    }
     rows = []
     for device, r in sorted(found, key=lambda x: (x[1]["worlds"], x[1]["devices"])):
-        speed, one = r["steps_per_s"], alone.get((device, r["worlds"]))
+        speed, same = r["steps_per_s"], (device, r["worlds"])
+        one = alone.get((*same, r["git"]), alone.get(same))
         compared = speed and one and r["devices"] > 1
         rows.append(
             (

@@ -23,6 +23,7 @@ import reach_tables
 import sensing_tables
 import sensitivity_tables
 import simulation_tables
+import speed_tables
 import stage_tables
 import steering_tables
 import tyro
@@ -71,9 +72,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "handoffs": closing_tables.shipped_handoffs(folder),
             "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
             "throughput": closing_tables.throughput(throughput),
-            "devices": stage_tables.devices(sorted(folder.glob("devices_*.json"))),
-            "tuned": stage_tables.tuned(sorted(folder.glob("tune_*.json"))),
-            "heatmap": stage_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
+            "devices": speed_tables.devices(sorted(folder.glob("devices_*.json"))),
+            "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json"))),
+            "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
@@ -106,13 +107,13 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
                 folder / "pipeline_ablation.json"
             ),
             "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
-            "grasper": stage_tables.grasper_speed(folder / "grasper_cpu.json"),
-            "grasper-worlds": stage_tables.grasper_worlds(
+            "grasper": speed_tables.grasper_speed(folder / "grasper_cpu.json"),
+            "grasper-worlds": speed_tables.grasper_worlds(
                 sorted(folder.glob("grasper_worlds_*.json"))
             ),
             "route": stage_tables.route(folder / "route.json"),
-            "first-run": stage_tables.first_run(folder / "make_train_cpu.json"),
-            "tests": stage_tables.tests(folder / "tests_cpu.json"),
+            "first-run": speed_tables.first_run(folder / "make_train_cpu.json"),
+            "tests": speed_tables.tests(folder / "tests_cpu.json"),
             "distances": reach_tables.signed_distances(folder / "signed_distance_scans.json"),
             "convex": simulation_tables.convex_pieces(folder / "convex_pieces.json"),
             "engines": simulation_tables.engines(folder / "engines_cpu.json"),

@@ -250,7 +250,7 @@ def test_a_suite_that_failed_keeps_its_row_too(tmp_path, monkeypatch):
     for python, seconds in (("3.12.1", 90.0), ("3.11.7", 600.0), ("3.12.1", 630.0)):
         timing.write(out, row(python, seconds))
     assert [r["test_s"] for r in json.loads(out.read_text())["rows"]] == [600.0, 630.0]
-    table = script("stage_tables").tests(out)
+    table = script("speed_tables").tests(out)
     assert "| 3.12.1 | 1.0 | a card | 1 | 2 | 1 | 10.5 | 1.0 | 0123456789ab |" in table
     with pytest.raises(FileError, match=r"none\.xml"):
         timing.counts(tmp_path / "none.xml")

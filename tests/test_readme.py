@@ -428,7 +428,7 @@ def test_whole_grasps_have_their_table(tmp_path):
 
 
 def test_the_controllers_time_has_its_table(tmp_path):
-    path, table = tmp_path / "grasper.json", make_readme.stage_tables.grasper_speed
+    path, table = tmp_path / "grasper.json", make_readme.speed_tables.grasper_speed
     assert table(path) == make_readme.stage_tables.NOTHING
     tick = {"count": 500, "p50": 1.234, "p99": 2.5}
     record = {"tick_ms": {"reaching": tick, "failed": tick | {"count": 0}}, "plan_ms": tick}
@@ -439,7 +439,7 @@ def test_the_controllers_time_has_its_table(tmp_path):
 
 
 def test_many_grasps_at_once_have_their_table(tmp_path):
-    path, table = tmp_path / "worlds.json", make_readme.stage_tables.grasper_worlds
+    path, table = tmp_path / "worlds.json", make_readme.speed_tables.grasper_worlds
     assert table([]) == make_readme.stage_tables.NOTHING
     times = {"physics": 1.234, "ticks": 0.9, "with plans": 0.8}
     record = {
@@ -452,7 +452,7 @@ def test_many_grasps_at_once_have_their_table(tmp_path):
 
 
 def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
-    table = make_readme.stage_tables.devices
+    table = make_readme.speed_tables.devices
     assert table([]) == make_readme.stage_tables.NOTHING
     row = {
         "worlds": 4096,
@@ -478,6 +478,29 @@ def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
     assert more[6:8] == ["1,000,000", ""]
 
 
+def test_several_gpus_are_compared_with_one_of_their_own_revision(tmp_path):
+    row = {
+        "worlds": 64, "outcome": "finished", "env_steps": 0, "way": "sharded",
+        "success_percent": None, "force_n": None,
+    }  # fmt: skip
+
+    def written(name, git, **speeds):
+        rows = [row | {"devices": int(n[1:]), "steps_per_s": s} for n, s in speeds.items()]
+        record = {"settings": {"seed": 0}, "rows": rows, "provenance": PROVENANCE | {"git": git}}
+        path = tmp_path / f"{name}.json"
+        path.write_text(json.dumps(record))
+        return path
+
+    paths = [
+        written("a", "old", x1=100.0, x2=150.0),
+        written("b", "new", x1=200.0, x2=380.0),
+        written("c", "other", x4=400.0),
+    ]
+    lines = make_readme.speed_tables.devices(paths).splitlines()[2:]
+    times = {values(line)[6]: values(line)[7] for line in lines}
+    assert times == {"100": "", "200": "", "150": "1.50", "380": "1.90", "400": "2.00"}
+
+
 def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):
     rows = [
         {"setting": "cpu", "trained_percent": p, "seconds": s}
@@ -489,7 +512,7 @@ def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):
     }  # fmt: skip
     path = tmp_path / "tune.json"
     path.write_text(json.dumps(record))
-    _, _, row = make_readme.stage_tables.tuned([path]).splitlines()
+    _, _, row = make_readme.speed_tables.tuned([path]).splitlines()
     assert values(row)[1:] == ["cpu", "3", "1", "", "20", "42", "85.0 (80.0–90.0)"]
 
 

@@ -2,7 +2,8 @@
 
   python experiments/collect_runs.py runs/A runs/B
 
-adds the runs to `experiments/results/training_runs.json`; a run that is there already is replaced.
+adds the runs to `experiments/results/training_runs.json`; a run that is there already is replaced,
+another one of its name is refused.
 Success and force here are those of the training's own episodes, with exploration noise.
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 import tyro
 
 from mjx_grasp.cli import run_command
-from mjx_grasp.errors import FileError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
@@ -107,12 +108,31 @@ def _task(config: ClosingTaskConfig) -> dict[str, Any]:
     return {"task": "end_to_end", "curriculum": kind, "assisted": config.assisted}
 
 
+def _check_same(row: dict[str, Any], known: dict[str, Any]) -> None:
+    """Refuses a run whose name another one has, which may have results of its own elsewhere.
+
+    Raises:
+        InputError: It is another training than that of the table.
+    """
+    then, now = known.get("provenance"), row["provenance"]
+    if then is not None and any(then[x] != now[x] for x in ("command", "git", "seed")):
+        expected = f"another folder name; this one is that of `{then['command']}` at {then['git']}"
+        raise InputError("runs", row["run"], expected)
+
+
 def main(config: CollectConfig) -> None:
-    """Adds the runs and prints the table."""
+    """Adds the runs and prints the table.
+
+    Raises:
+        FileError: A folder holds no finished run.
+        InputError: A run has the name of another; nothing is added then.
+    """
     rows: dict[str, dict[str, Any]] = {}
     if config.out.exists():
         rows = {r["run"]: r for r in run_rows(config.out)}
-    rows |= {folder.name: run_row(folder) for folder in config.runs}
+    for row in map(run_row, config.runs):
+        _check_same(row, rows.get(row["run"], {}))
+        rows[row["run"]] = row
     document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
     write_json(config.out, document)
     print(f"{len(rows)} runs in {config.out}")

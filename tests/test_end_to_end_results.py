@@ -12,7 +12,7 @@ from PIL import Image
 from test_figures import script
 from test_readme import ALONE, PROVENANCE, ROOT, load_generator, result, values
 
-from mjx_grasp.errors import FileError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.paper import OBJECTS
 from mjx_grasp.evaluation.results import write_results
 from mjx_grasp.records.atomic import write_json
@@ -52,6 +52,20 @@ def collect(out, *folders):
 @pytest.fixture
 def experiments(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
+
+
+def test_a_run_is_replaced_by_itself_and_by_no_other_of_its_name(tmp_path, experiments):
+    out, both = tmp_path / "runs.json", ((0.5, 0.5), (10, 10))
+    folder = run_folder(tmp_path / "one", "gpu", *both)
+    first = collect(out, folder)
+    assert collect(out, folder) == first
+    before = out.read_bytes()
+    other = PROVENANCE | {"seed": PROVENANCE["seed"] + 1}
+    write_json(run_folder(tmp_path / "b" / "one", "gpu", *both) / "provenance.json", other)
+    new = run_folder(tmp_path / "two", "gpu", *both)
+    with pytest.raises(InputError, match=r"one.*another folder name"):
+        collect(out, new, tmp_path / "b" / "one")
+    assert out.read_bytes() == before
 
 
 def test_a_row_says_what_was_learnt_and_an_older_one_is_understood(tmp_path, experiments):

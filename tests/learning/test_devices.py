@@ -146,9 +146,13 @@ def test_two_processes_train_in_mjx(tmp_path):
         )
         for k in range(2)
     ]
-    for process in started:
-        said, _ = process.communicate(timeout=500)
-        assert process.returncode == 0, said
+    try:
+        for process in started:
+            said, _ = process.communicate(timeout=200)  # they wait for each other without an end
+            assert process.returncode == 0, said
+    finally:
+        for process in started:
+            process.kill()
     assert len((out / "metrics.csv").read_text().splitlines()) == 3
 
 

@@ -4,14 +4,15 @@ For each number of worlds it times, on the same device in the same process:
 
   warp       MuJoCo Warp alone, the control tick's physics steps in one CUDA graph, no JAX
   mjx        the same steps through `mjx.step` inside a jitted scan
-  task       the closing environment (commands, readings, rewards, stages), zero actions
-  rollout    the same with the policy, resets and the record of transitions
+  task       the closing environment (commands, readings, rewards, stages, resets), given actions
+  rollout    the same with the policy and the record of transitions
   ppo        whole PPO iterations: rollout and updates
 
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
-All of them start from one state, taken from a running training after `--warm-up` iterations, so
-that fingers hold objects and contacts are what a training meets. Scene, task and PPO are those of a
+All but the last step the very same states: those of one rollout of a running training after
+`--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's anew,
+`task` the rollout's actions. Scene, task and PPO are those of a
 preset of `mjx_grasp.train`. Medians of `--repeats` runs; compilation is timed apart.
 
   python benchmarks/throughput.py --objects-dir DIR --out FILE.json
@@ -46,6 +47,7 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.physics import WorldParams
 from mjx_grasp.tasks.assemble import build_scene_of, build_world
 from mjx_grasp.training.config import settings_of
 
@@ -69,9 +71,11 @@ class BenchmarkConfig(CommandSettings):
     warm_up: Count = 6
     """PPO iterations before anything is timed"""
     repeats: Count = 5
-    ticks: Count = 64
-    """control ticks of a timed run of warp, mjx and task"""
     seed: Seed = 0
+
+
+Recorded = tuple[dict[str, jax.Array], WorldParams]
+"""What physics is given at each tick, [tick, world, …]: state with command, and parameters."""
 
 
 def median_seconds(run: Callable[[], Any], repeats: int) -> float:
@@ -93,9 +97,9 @@ def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
 
 
 def plain_warp(
-    physics: MjxPhysics, state: Any, params: Any, ticks: int, repeats: int
+    physics: MjxPhysics, ticks: Recorded, repeats: int
 ) -> tuple[float, dict[str, float]]:
-    """MuJoCo Warp alone, replaying one CUDA graph per tick.
+    """MuJoCo Warp alone, replaying one CUDA graph per tick; putting the states there is not timed.
 
     Returns:
         Seconds per control tick, and the milliseconds of a physics step's parts (GPU only).
@@ -103,40 +107,50 @@ def plain_warp(
     import mujoco.mjx.third_party.mujoco_warp as mjw
     import warp as wp
 
-    worlds, model = physics.num_worlds, physics.scene.model
+    worlds, model, on_gpu = physics.num_worlds, physics.scene.model, wp.get_device().is_cuda
     m = mjw.put_model(model)
     m.opt.warn_overflow = False
     d = mjw.make_data(model, nworld=worlds, **physics.buffers)
-    for name, rows in physics.world_fields(params).items():
-        field = getattr(m, name)
-        setattr(m, name, wp.array(np.asarray(rows), dtype=field.dtype))
-    begin = {
-        name: wp.array(np.asarray(getattr(state, name)), dtype=float)
-        for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")
-    }
 
-    def tick() -> None:
+    def put(tick: int) -> None:
+        state, params = jax.tree.map(lambda x: x[tick], ticks)
+        for owner, rows in ((d, state), (m, physics.world_fields(params))):
+            for name, new in rows.items():
+                field = wp.array(np.asarray(new), dtype=getattr(owner, name).dtype)
+                if owner is m and tick == 0:  # one row for all worlds until now
+                    setattr(m, name, field)
+                else:
+                    wp.copy(getattr(owner, name), field)
+        wp.synchronize()
+
+    def step() -> None:
         for _ in range(physics.substeps):
             mjw.step(m, d)
 
-    tick()
-    if wp.get_device().is_cuda:
+    put(0)
+    step()
+    if on_gpu:
         with wp.ScopedCapture() as capture:
-            tick()
-        replay = lambda: wp.capture_launch(capture.graph)  # noqa: E731
-    else:
-        replay = tick
+            step()
+        begun, ended = (wp.Event(enable_timing=True) for _ in range(2))
 
-    def run() -> None:
-        for name, rows in begin.items():
-            wp.copy(getattr(d, name), rows)
-        for _ in range(ticks):
-            replay()
-        wp.synchronize()
+    def seconds() -> float:
+        if not on_gpu:
+            start = time.perf_counter()
+            step()
+            return time.perf_counter() - start
+        wp.record_event(begun)
+        wp.capture_launch(capture.graph)
+        wp.record_event(ended)
+        return 1e-3 * wp.get_event_elapsed_time(begun, ended)
 
-    run()
-    seconds = median_seconds(run, repeats) / ticks
-    return seconds, traced(lambda: mjw.step(m, d)) if wp.get_device().is_cuda else {}
+    sums = np.zeros(repeats)
+    for k in range(repeats):
+        for tick in range(count := len(ticks[0]["qpos"])):
+            put(tick)
+            sums[k] += seconds()
+    trace_ms = traced(lambda: mjw.step(m, d)) if on_gpu else {}
+    return float(np.median(sums)) / count, trace_ms
 
 
 def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
@@ -226,8 +240,8 @@ def _layers(
     seconds: dict[str, float],
     compile_s: dict[str, float],
 ) -> dict[str, Any]:
-    """Adds the seconds per tick of every layer below PPO, from a training's state."""
-    worlds, unroll, physics = settings.worlds, settings.unroll, env.task.physics
+    """Adds the seconds per tick of every layer below PPO, in the states of a training's rollout."""
+    unroll, physics = settings.unroll, env.task.physics
     nets = ppo.make_networks(settings, env)
     policy = networks.make_inference_fn(nets)(
         (state.normalizer, state.params.policy, state.params.value)
@@ -237,38 +251,46 @@ def _layers(
         final, data = acting.generate_unroll(
             env, s, policy, jax.random.PRNGKey(0), unroll, extra_fields=EPISODE_FIELDS
         )
-        return final.obs, jax.tree.map(jnp.sum, data)
+        return data.action, final.obs, jax.tree.map(jnp.sum, data)
 
-    inner = state.env.pipeline_state
-    zeros = jnp.zeros((worlds, env.action_size))
+    def task(s, actions):
+        def tick(s, action):
+            s = env.step(s, action)
+            return s, jnp.sum(s.reward)
 
-    def task_ticks(s):
-        def tick(carry, _):
-            carry, out = env.task.tick(carry, zeros)
-            return carry, sum(out.rewards.values())
+        final, reward = jax.lax.scan(tick, s, actions)
+        return final.obs, reward
 
-        final, reward = jax.lax.scan(tick, s, length=config.ticks)
-        return (final.measured, final.truth), reward
+    def record(s, actions):
+        def tick(s, action):
+            before = s.pipeline_state
+            commanded = env.task.tick(before, action)[0].physics.ctrl
+            given = physics.pack(before.physics) | {"ctrl": commanded}
+            return env.step(s, action), (given, before.params)
 
-    def mjx_ticks(s):
-        def tick(carry, _):
-            carry, measured, _ = physics.step(carry, inner.params, s.ctrl)
-            return carry, measured.q
+        return jax.lax.scan(tick, s, actions)[1]
 
-        final, q = jax.lax.scan(tick, s, length=config.ticks)
+    def mjx(data, ticks):
+        def tick(data, row):
+            given, params = row
+            data, measured, _ = physics.step(data.replace(**given), params, given["ctrl"])
+            return data, measured.q
+
+        final, q = jax.lax.scan(tick, data, ticks)
         return final.qpos, q
 
-    for name, function, argument, ticks in (
-        ("rollout", rollout, state.env, unroll),
-        ("task", task_ticks, inner, config.ticks),
-        ("mjx", mjx_ticks, inner.physics, config.ticks),
+    start = state.env
+    actions = jax.jit(rollout)(start)[0]
+    ticks: Recorded = jax.jit(record)(start, actions)
+    for name, function, arguments in (
+        ("rollout", rollout, (start,)),
+        ("task", task, (start, actions)),
+        ("mjx", mjx, (start.pipeline_state.physics, ticks)),
     ):
-        jitted, compile_s[name] = compiled(function, argument)
-        run = lambda f=jitted, x=argument: f(x)  # noqa: E731
-        seconds[name] = median_seconds(run, config.repeats) / ticks
-    seconds["warp"], trace_ms = plain_warp(
-        physics, inner.physics, inner.params, config.ticks, config.repeats
-    )
+        jitted, compile_s[name] = compiled(function, *arguments)
+        run = lambda f=jitted, x=arguments: f(*x)  # noqa: E731
+        seconds[name] = median_seconds(run, config.repeats) / unroll
+    seconds["warp"], trace_ms = plain_warp(physics, ticks, config.repeats)
     return {
         "ratio_ppo_to_warp": seconds["warp"] / seconds["ppo"],
         "warp_step_trace_ms": trace_ms,
@@ -302,7 +324,8 @@ def main(config: BenchmarkConfig) -> None:
         details.append(measure(config, worlds, unroll, layers=setting in config.settings))
         print(json.dumps(details[-1], indent=1), flush=True)
         rows, made = throughput_rows(details), provenance(config.seed)
-        write_results(config.out, rows, made, load_robot().identity, details=details)
+        robot = load_robot().identity
+        write_results(config.out, rows, made, robot, states="rollout", details=details)
 
 
 if __name__ == "__main__":

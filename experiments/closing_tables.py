@@ -63,10 +63,15 @@ ON_WALLS = (
 )
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
-    "a CUDA graph), the same called from JAX, the task around it, the policy's actions and the "
-    "resets, PPO's updates. Then parts of one physics step, and the "
+    "a CUDA graph), the same called from JAX, the task around it, the policy's actions, PPO's "
+    "updates. {states} Then parts of one physics step, and the "
     "speed of the whole loop as a share of MuJoCo Warp's:"
 )
+_ONE_STATE = (
+    "The first three begin at one state of a training and hold its commands, without resets, so "
+    "that they step fewer contacts than the training does."
+)
+_ROLLOUT = "All but the last step the states of one rollout of a training."
 _GRAVITY = 9.81  # m/s²
 _WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
@@ -199,7 +204,8 @@ def throughput(paths: Sequence[Path]) -> str:
     for file in files:
         apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
         if apart:
-            parts += [LAYERS, markdown(_layers(apart))]
+            states = _ROLLOUT if file.extra.get("states") == "rollout" else _ONE_STATE
+            parts += [LAYERS.format(states=states), markdown(_layers(apart))]
     return "\n\n".join(parts)
 
 

@@ -198,6 +198,20 @@ def test_throughput_is_sorted_by_worlds():
     assert {r[0] for r in table.rows} == {"a card"}
 
 
+def test_layers_say_which_states_they_step(tmp_path):
+    """Those of a rollout are given, or all go on from one: the tables cannot be compared."""
+    row, said = ThroughputRow("ppo", "mjx", 8, 1, 50.0, None), {}
+    layers = dict.fromkeys(("warp", "mjx", "task", "rollout", "ppo"), 2.0)
+    detail = {"worlds": 8, "unroll": 4, "ratio_ppo_to_warp": 0.5, "ms_per_control_tick": layers}
+    detail |= {"warp_step_trace_ms": {"step": 1.0}}
+    for name, states in (("old", {}), ("new", {"states": "rollout"})):
+        path = tmp_path / f"{name}.json"
+        write_results(path, [row], PROVENANCE, FIRST_ROBOT, details=[detail], **states)
+        said[name] = make_readme.closing_tables.throughput([path])
+    assert "hold its commands" in said["old"] and "of one rollout" not in said["old"]
+    assert "of one rollout" in said["new"] and "hold its commands" not in said["new"]
+
+
 def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
     results = root / "experiments" / "results"
     run = {"run": "many", "worlds": 8192, "unroll": 16, "env_steps": 31457280, "seed": 3}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import orbax.checkpoint as ocp
 
 from mjx_grasp.errors import FileError
@@ -23,8 +24,8 @@ from mjx_grasp.learning.ppo import TrainState, learner_of
 from mjx_grasp.records.atomic import read_json, write_json
 
 _MANIFEST = "manifest.json"
-_VERSION = 2
-"""1: one item `state` with everything, and a manifest of the files alone."""
+_VERSION = 3
+"""1: one item `state` with everything, and a manifest of the files alone. 2: no mean of weights."""
 _NAME = re.compile(r"^iteration_(\d+)$")
 
 
@@ -115,8 +116,12 @@ def restore_checkpoint(
     path = Path(path).resolve()
     manifest = _checked_manifest(path)
     try:
-        item = "state" if manifest["version"] == 1 else "learner"
-        learner = _restored(path, item, learner_of(template), env.devices)
+        version, like = manifest["version"], learner_of(template)
+        if version < 3:
+            del like["policy"]
+        learner = _restored(path, "state" if version == 1 else "learner", like, env.devices)
+        if version < 3:
+            learner["policy"] = jax.tree.map(jnp.copy, learner["params"].policy)
     except Exception as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise FileError(

@@ -32,6 +32,8 @@ class TrainState(NamedTuple):
     """Everything a training needs to go on."""
 
     params: losses.PPONetworkParams
+    policy: Any
+    """the actor's weights as they are given away: see `PPOConfig.averaged`"""
     optimizer: optax.OptState
     normalizer: running_statistics.RunningStatisticsState
     env: State
@@ -82,6 +84,7 @@ def init_state(config: PPOConfig, env: BraxTask, seed: int) -> TrainState:
     shapes = {n: specs.Array(s, jnp.dtype("float32")) for n, s in env.observation_size.items()}
     state = TrainState(
         params=params,
+        policy=jax.tree.map(jnp.copy, params.policy),  # of its own: both may be donated
         optimizer=make_optimizer(config).init(params),
         normalizer=running_statistics.init_state(shapes),
         env=jax.jit(env.devices.each(lambda key, _: ((), env.reset(key))))(env_key, ())[1],
@@ -185,6 +188,10 @@ def make_iteration(
             (state.optimizer, state.params, sgd_key),
             length=config.epochs,
         )
+        averaged = state.iteration + 1 - (config.iterations - config.averaged)
+        policy_params = optax.incremental_update(
+            params.policy, state.policy, 1.0 / jnp.maximum(averaged, 1)
+        )
         # After the updates: the KL that adapts the learning rate compares with the old outputs.
         normalizer = running_statistics.update(
             state.normalizer,
@@ -204,7 +211,15 @@ def make_iteration(
         )
         env_state, said = env.paced(env_state, learnt)
         metrics |= said
-        done = TrainState(params, optimizer_state, normalizer, env_state, key, state.iteration + 1)
+        done = TrainState(
+            params,
+            policy_params,
+            optimizer_state,
+            normalizer,
+            env_state,
+            key,
+            state.iteration + 1,
+        )
         return (learner_of(done), metrics), env_state
 
     def iterate(state: TrainState) -> tuple[TrainState, Metrics]:

@@ -289,5 +289,5 @@ def _save_policy(
         "env_steps": int(state.iteration) * config.ppo.steps_per_iteration,
         "provenance": read_json(folder / "provenance.json", "the provenance of the run"),
     }
-    policy = policy_from_training(state.params.policy, state.normalizer, meta, robot)
+    policy = policy_from_training(state.policy, state.normalizer, meta, robot)
     policy.save(folder / "policy.npz")

@@ -167,6 +167,22 @@ def test_the_last_iterations_keep_one_rate(env, trained):
     assert rates[1] > rates[0] > 2e-3 and rates[2] == np.float32(1e-3)
 
 
+def test_the_policy_is_the_mean_of_the_last_weights(env, trained):
+    """Of those of the iterations that are asked for; of none it is the last ones, to the bit."""
+    state = trained[0][0]
+    iterate = jax.jit(make_iteration(tiny.ppo(3, averaged=2), env))
+    states = []
+    for _ in range(3):
+        state, _ = iterate(state)
+        states.append(state)
+    for one in (*trained[0], *states[:2]):
+        same(one.policy, one.params.policy)
+    last = (states[1].params.policy, states[2].params.policy)
+    assert jax.tree.reduce(max, jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), *last)) > 0
+    for mean, a, b in zip(*map(jax.tree.leaves, (states[2].policy, *last)), strict=True):
+        np.testing.assert_allclose(mean, (a + b) / 2, rtol=1e-5, atol=1e-8)
+
+
 def test_actor_sees_66_numbers_and_the_critic_more(env, trained):
     params = trained[0][0].params
     assert params.policy["params"]["MLP_0"]["hidden_0"]["kernel"].shape == (66, 8)
@@ -405,18 +421,23 @@ def test_impossible_training_settings_are_refused_by_name(field, value):
         PPOConfig(**{field: value})
 
 
-V1 = Path(__file__).parent.parent / "data" / "v1" / "iteration_00000002"
+OLD = Path(__file__).parent.parent / "data"
 
 
-def test_a_checkpoint_of_the_first_version_is_read(env):
-    """What was learnt is as it was; the worlds of then are others, so that they start anew."""
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_checkpoint_of_an_older_version_is_read(env, version):
+    """What was learnt is as it was. Before version 3 the policy was that of the last weights."""
+    path = OLD / f"v{version}" / "iteration_00000002"
     template = init_state(tiny.ppo(), env, seed=0)
-    state, goes_on = restore_checkpoint(V1, template, env)
-    assert int(state.iteration) == 2 and not goes_on
-    same(env.pack(state.env), env.pack(template.env))
+    state, goes_on = restore_checkpoint(path, template, env)
+    assert int(state.iteration) == 2
+    if version == 1:  # the worlds of then are others, so that they start anew
+        assert not goes_on
+        same(env.pack(state.env), env.pack(template.env))
     np.testing.assert_array_equal(
-        tiny.parameters(state), np.load(V1.parent / "iteration_00000002_parameters.npy")
+        tiny.parameters(state), np.load(path.parent / f"{path.name}_parameters.npy")
     )
+    same(state.policy, state.params.policy)
 
 
 def test_worlds_with_other_arrays_start_anew(env, trained, tmp_path):
@@ -431,6 +452,6 @@ def test_worlds_with_other_arrays_start_anew(env, trained, tmp_path):
 def test_a_checkpoint_of_a_newer_version_is_refused(env, trained, tmp_path):
     path = save_checkpoint(tmp_path, trained[0][1], env, {})
     manifest = json.loads((path / "manifest.json").read_text())
-    (path / "manifest.json").write_text(json.dumps(manifest | {"version": 3}))
-    with pytest.raises(FileError, match="version 3, which needs a newer package"):
+    (path / "manifest.json").write_text(json.dumps(manifest | {"version": 4}))
+    with pytest.raises(FileError, match="version 4, which needs a newer package"):
         restore_checkpoint(path, trained[0][0], env)

@@ -1,7 +1,8 @@
 """`python -m mjx_grasp.train`: from objects to a trained policy, its evaluation and a report.
 
-Picks its preset from the hardware: `gpu` trains on the eight objects in MJX, `cpu` on one object
-in native MuJoCo within minutes; `paper` is the published setting.
+Picks its preset from the hardware: `gpu` trains on the eight objects in MJX, `cpu` trains the
+shipped policy further, on one object in native MuJoCo within minutes; `paper` is the published
+setting.
 """
 
 import sys

@@ -34,7 +34,7 @@ from mjx_grasp.training.job import run_training
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
     *("--ppo.unroll", "4", "--ppo.iterations", "2", "--task.episode-s", "0.3"),
-    "--task.observation.no-budget",
+    *("--task.observation.no-budget", "--start-from", "None"),
 )
 
 
@@ -103,6 +103,23 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
     assert "states.npz: found a changed file" in error and str(run) in error
+
+
+def test_a_run_goes_on_with_the_policy_it_began_with(scene, tmp_path, monkeypatch, capsys):
+    policy, run = tmp_path / "first.npz", tmp_path / "run"
+    policy.write_bytes(asset_path("policy.npz").read_bytes())
+    states = asset_path("handoffs_standins.npz")
+    config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
+    monkeypatch.setattr(job, "_build", lambda *_: None)
+    monkeypatch.setattr(job, "_run", lambda *_: None)
+    run_training(replace(config, start_from=str(policy)), Console(quiet=True))
+    run_training(stored_config(run), Console(quiet=True))
+    same = load_policy(policy)
+    replace(same, meta=same.meta | {"more": 1}).save(policy)
+    status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
+    assert status == 2
+    assert "first.npz: found a changed file" in error and str(run) in error
 
 
 def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):

@@ -103,13 +103,12 @@ def flags(kind, prefix=""):
 
 
 def sampled(kind):
-    """Of every flag two values, other ones from flag to flag."""
+    """Of every flag one value, another one from flag to flag; all are tried without a parser."""
     found = {}
     for flag, values, name in flags(kind):
         found.setdefault(flag, []).append((values, name))
     for k, (flag, tried) in enumerate(found.items()):
-        for values, name in {tried[k % len(tried)], tried[0]}:
-            yield flag, values, name
+        yield flag, *tried[k % len(tried)]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.closing.config import REACTING, GripConfig
+from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
@@ -52,6 +53,8 @@ class EvaluateConfig(ObjectsConfig, Spread):
     """object rotation about a random axis, uniform up to this [deg]"""
     friction: Positive = 0.8
     """sliding friction of the object's contacts [-]"""
+    friction_spread: NonNegative = 0.0
+    """by which the friction differs from that in a trial, uniform in ± this [-]"""
     mass_scale: Positive = 1.0
     """factor on the object's mass [-]"""
     robot_errors: RobotErrors = field(default_factory=RobotErrors)
@@ -59,13 +62,19 @@ class EvaluateConfig(ObjectsConfig, Spread):
     worlds: Count = 256
     """worlds per batch [-]"""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.friction_spread >= self.friction:
+            less = f"less than the friction ({self.friction:g})"
+            raise InputError(self.name_of("friction_spread"), self.friction_spread, less)
+
     @property
     def noise(self) -> StartNoise:
         """The condition as the environment's noise."""
         return StartNoise(
             offset_m=self.offset_mm * 1e-3,
             angle_rad=min(math.radians(self.angle_deg), MAX_ANGLE_RAD),
-            friction=(self.friction, self.friction),
+            friction=(self.friction - self.friction_spread, self.friction + self.friction_spread),
             mass_scale=(self.mass_scale, self.mass_scale),
             budget_n=(self.force_budget, self.force_budget),
             robot=self.robot_errors,

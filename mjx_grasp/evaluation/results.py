@@ -80,6 +80,10 @@ class ResultRow:
     """Mean force per finger that a policy which knows a budget was allowed [N]."""
     robot_errors: RobotErrors = field(default_factory=RobotErrors)
     """How the robot differed from its model."""
+    label: str | None = None
+    """What its policy is called, where the file has rows of another one as well."""
+    friction_spread: float = 0.0
+    """By which the friction differed from `friction` in a trial, uniform in ± this [-]"""
     reached_share: float | None = None
     """Share of this row's trials that began where the reaching controller came to, the others at
     postures of inverse kinematics; None in older files [-]."""
@@ -110,7 +114,7 @@ class ResultRow:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise InputError(name, value, "None, or 0 N or more")
-        for name in ("offset_mm", "angle_deg", "friction"):
+        for name in ("offset_mm", "angle_deg", "friction", "friction_spread"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(name, getattr(self, name), "a finite number, 0 or more")
 

@@ -163,6 +163,8 @@ def summarise(
         mass_scale=config.mass_scale,
         force_budget_n=config.force_budget if knows_budget else None,
         robot_errors=config.robot_errors,
+        label=None,
+        friction_spread=config.friction_spread,
         reached_share=float(reached[trials.row].mean()),
     )
 

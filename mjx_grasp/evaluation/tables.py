@@ -36,6 +36,7 @@ class Condition(NamedTuple):
     """What the objects are made of, in words."""
     mass_scale: float = 1.0
     robot_errors: RobotErrors = RobotErrors()
+    friction_spread: float = 0.0
 
     def text(self) -> str:
         """The condition in words."""
@@ -56,8 +57,9 @@ class Condition(NamedTuple):
         )
 
     def _changes(self) -> str:
+        spread = f" ± {self.friction_spread:g}" if self.friction_spread else ""
         mass = "" if self.mass_scale == 1.0 else f", mass × {self.mass_scale:g}"
-        return mass + _errors_text(self.robot_errors)
+        return spread + mass + _errors_text(self.robot_errors)
 
 
 class Column(NamedTuple):
@@ -227,7 +229,7 @@ def _columns(
         part[row.object] = row
     found = []
     for key, part in parts.items():
-        family = policy_label if key.controller == "policy" else key.controller
+        family = (key.label or policy_label) if key.controller == "policy" else key.controller
         condition = Condition(
             key.engine,
             key.handoffs,
@@ -238,6 +240,7 @@ def _columns(
             meshes,
             key.mass_scale,
             key.robot_errors,
+            key.friction_spread,
         )
         found.append((condition, Column(family + _setting(key), part, draws, family)))
     return found
@@ -292,6 +295,7 @@ def _condition_order(c: Condition) -> tuple:
         c.meshes,
         c.mass_scale,
         str(c.robot_errors),
+        c.friction_spread,
     )
 
 

@@ -48,9 +48,11 @@ class PPOConfig(Settings):
     """target of the adaptive learning rate; None keeps the rate fixed [nat]"""
     tuning: WholeNumber = 0
     """of these iterations the last ones, at the fixed rate of --ppo.learning-rate [-]"""
-    averaged: WholeNumber = 0
-    """of these iterations the last ones, the mean of whose weights is the policy; 0 for the weights
-    that the last one ended with [-]"""
+    critic_first: Share = 0.0
+    """share of the iterations, the first ones, in which the critic alone learns [-]"""
+    averaged: Share = 0.0
+    """share of the iterations, the last ones, the mean of whose weights is the policy; 0 for the
+    weights that the last one ended with [-]"""
     gradient_norm: Positive = 1.0
     """longest gradient; longer ones are shortened to it [-]"""
     reward_scale: Positive = 0.02
@@ -71,10 +73,8 @@ class PPOConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("tuning", "averaged"):
-            if getattr(self, name) > self.iterations:
-                expected = f"at most {self.iterations}"
-                raise InputError(self.name_of(name), getattr(self, name), expected)
+        if self.tuning > self.iterations:
+            raise InputError(self.name_of("tuning"), self.tuning, f"at most {self.iterations}")
         if self.worlds % self.minibatches:
             multiple = f"a multiple of minibatches ({self.minibatches})"
             raise InputError(self.name_of("worlds"), self.worlds, multiple)

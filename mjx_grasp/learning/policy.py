@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import RunningStatisticsState
@@ -46,13 +48,7 @@ def policy_from_training(
     Raises:
         InputError: The parameters are not those of a multi-layer perceptron with a mean head.
     """
-    modules = policy_params["params"]
-    try:
-        hidden = modules["MLP_0"]
-        layers = [hidden[f"hidden_{i}"] for i in range(len(hidden))]
-        layers.append(next(v for k, v in modules.items() if k.startswith("Dense")))
-    except (KeyError, StopIteration):
-        raise InputError("policy_params", sorted(modules), "MLP_0 and a Dense mean head") from None
+    layers = [_at(policy_params, path) for path in _layer_paths(policy_params)]
     return Policy(
         mean=np.asarray(normalizer.mean["state"], np.float32),
         std=np.asarray(normalizer.std["state"], np.float32),
@@ -61,6 +57,45 @@ def policy_from_training(
         meta=meta,
         robot=robot,
     )
+
+
+def actor_of(policy: StoredPolicy, policy_params: Any) -> Any:
+    """The reverse: Brax's parameters with a policy's layers in the place of their own.
+
+    Args:
+        policy: The policy.
+        policy_params: Parameters of a network with layers of the same sizes; what else they hold,
+            the width of the exploration, stays.
+
+    Raises:
+        InputError: Layers of other sizes, or no multi-layer perceptron with a mean head.
+    """
+    actor = jax.tree.map(lambda x: x, policy_params)  # dictionaries of its own
+    layers = [_at(actor, path) for path in _layer_paths(actor)]
+    found, expected = [w.shape for w in policy.weights], [x["kernel"].shape for x in layers]
+    if found != expected:
+        raise InputError("policy", f"layers of {found}", f"layers of {expected}")
+    for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+        layer |= {"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)}
+    return actor
+
+
+def _layer_paths(policy_params: Any) -> list[tuple[str, ...]]:
+    """Where the layers of Brax's policy network are, the first one first.
+
+    Raises:
+        InputError: It is no multi-layer perceptron with a mean head.
+    """
+    modules = policy_params["params"]
+    try:
+        hidden = [("MLP_0", f"hidden_{i}") for i in range(len(modules["MLP_0"]))]
+        return [*hidden, (next(name for name in modules if name.startswith("Dense")),)]
+    except (KeyError, StopIteration):
+        raise InputError("policy_params", sorted(modules), "MLP_0 and a Dense mean head") from None
+
+
+def _at(policy_params: Any, path: tuple[str, ...]) -> Any:
+    return functools.reduce(lambda node, name: node[name], path, policy_params["params"])
 
 
 def load_policy(path: str | Path) -> Policy:

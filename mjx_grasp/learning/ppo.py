@@ -20,7 +20,7 @@ from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import losses, networks
 from brax.training.agents.ppo import optimizer as ppo_optimizer
 from flax import linen
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
@@ -41,7 +41,7 @@ class TrainState(NamedTuple):
     iteration: Array
 
 
-_SMALLEST_STD = 0.1
+SMALLEST_STD = 0.1
 """A flag that was always 0 must not become 10⁶ standard deviations when it is 1 for once."""
 
 Metrics = dict[str, Float[Array, ""]]
@@ -112,6 +112,8 @@ def make_iteration(
     devices = env.devices
     nets = make_networks(config, env)
     optimizer = make_optimizer(config)
+    critic_first = round(config.critic_first * config.iterations)
+    averaged = round(config.averaged * config.iterations)
     make_policy = networks.make_inference_fn(nets, compute_value=config.value_clip is not None)
     loss_and_gradient = jax.value_and_grad(
         functools.partial(
@@ -129,7 +131,7 @@ def make_iteration(
     )
 
     def minibatch_step(
-        carry: _Carry, data: Any, normalizer: Any, tuning: Bool[Array, ""]
+        carry: _Carry, data: Any, normalizer: Any, iteration: Int[Array, ""]
     ) -> tuple[_Carry, Metrics]:
         optimizer_state, params, key = carry
         key, loss_key = jax.random.split(key)
@@ -138,10 +140,15 @@ def make_iteration(
             optimizer_state, _ = ppo_optimizer.adaptive_kl_learning_rate(
                 optimizer_state, metrics["kl_mean"], config.desired_kl
             )
-        if config.tuning:
+        critic_alone = iteration < critic_first
+        if config.tuning or critic_first:
             rates = optimizer_state[-1].hyperparams
-            rates["learning_rate"] = jnp.where(tuning, config.learning_rate, rates["learning_rate"])
+            fixed = critic_alone | (iteration >= config.iterations - config.tuning)
+            rates["learning_rate"] = jnp.where(fixed, config.learning_rate, rates["learning_rate"])
         updates, optimizer_state = optimizer.update(gradient, optimizer_state)
+        if critic_first:
+            stays = jax.tree.map(lambda step: jnp.where(critic_alone, 0, step), updates.policy)
+            updates = updates.replace(policy=stays)
         metrics["learning_rate"] = rate = optimizer_state[-1].hyperparams["learning_rate"]
         if config.critic_rate is not None:
             # Adam's step is proportional to its rate.
@@ -150,7 +157,7 @@ def make_iteration(
         return (optimizer_state, optax.apply_updates(params, updates), key), metrics
 
     def epoch(
-        carry: _Carry, _nothing: None, data: Any, normalizer: Any, tuning: Bool[Array, ""]
+        carry: _Carry, _nothing: None, data: Any, normalizer: Any, iteration: Int[Array, ""]
     ) -> tuple[_Carry, dict[str, Float[Array, " minibatches"]]]:
         optimizer_state, params, key = carry
         key, order_key, step_key = jax.random.split(key, 3)
@@ -159,7 +166,7 @@ def make_iteration(
         def shuffled(x: Array) -> Array:
             return x[order].reshape(config.minibatches, -1, *x.shape[1:])
 
-        step: Any = functools.partial(minibatch_step, normalizer=normalizer, tuning=tuning)
+        step: Any = functools.partial(minibatch_step, normalizer=normalizer, iteration=iteration)
         (optimizer_state, params, _), metrics = jax.lax.scan(
             step, (optimizer_state, params, step_key), jax.tree.map(shuffled, data)
         )
@@ -183,20 +190,20 @@ def make_iteration(
                 epoch,
                 data=data,
                 normalizer=state.normalizer,
-                tuning=state.iteration >= config.iterations - config.tuning,
+                iteration=state.iteration,
             ),
             (state.optimizer, state.params, sgd_key),
             length=config.epochs,
         )
-        averaged = state.iteration + 1 - (config.iterations - config.averaged)
+        among = state.iteration + 1 - (config.iterations - averaged)
         policy_params = optax.incremental_update(
-            params.policy, state.policy, 1.0 / jnp.maximum(averaged, 1)
+            params.policy, state.policy, 1.0 / jnp.maximum(among, 1)
         )
         # After the updates: the KL that adapts the learning rate compares with the old outputs.
         normalizer = running_statistics.update(
             state.normalizer,
             data.observation,
-            std_min_value=_SMALLEST_STD,
+            std_min_value=SMALLEST_STD,
             pmap_axis_name=devices.axis,
         )
         metrics = _rollout_metrics(devices, data, env.task.reward_names)

@@ -25,10 +25,12 @@ from mjx_grasp.sim.scene import SceneConfig, build_scene
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_world
 from mjx_grasp.tasks.config import EndToEndConfig, StartNoise
 from mjx_grasp.training.config import TrainConfig
+from mjx_grasp.training.start import start_policy
 
 SQUEEZE_FORCES_N = (3.0, 5.0, 8.0)
 GRIP_FRICTIONS = (0.4, 0.7)
 """μ₀ of the grips beside a policy that adds to one: each is a point of the grip's front."""
+BEGAN_WITH = "policy that it began with"
 FORCE_BUDGETS_N = (1.5, 3.0)
 """That a policy which knows a budget is given."""
 
@@ -63,12 +65,18 @@ def evaluate_run(
     alone = task.closing if isinstance(task, EndToEndConfig) else task
     others = baselines(base, alone)
     budgets = FORCE_BUDGETS_N if task.observation.budget else (base.force_budget,)
-    own = [(replace(base, force_budget=budget), policy) for budget in budgets]
-    for chosen, controller in (*own, *((other, None) for other in others)):
+    policies = {None: policy, BEGAN_WITH: start_policy(config, scene.robot)}
+    own = [
+        (replace(base, force_budget=budget), controller, name)
+        for name, controller in policies.items()
+        if controller is not None
+        for budget in budgets
+    ]
+    for chosen, controller, name in (*own, *((other, None, None) for other in others)):
         new, trials = evaluate(
             held_out, states.object_names, chosen, controller, states.reached, console, alone
         )
-        rows += new
+        rows += [replace(row, label=name) for row in new]
         runs += trials.values()
     label, counted = f"policy, preset {config.preset}", incidents(runs)
     made = provenance(config.seed, command)
@@ -87,18 +95,20 @@ def evaluate_run(
 
 
 def condition(config: TrainConfig, out: Path) -> EvaluateConfig:
-    """The training's own condition, for its evaluation; of a range of friction, the middle.
+    """The training's own condition, for its evaluation; its objects have their own mass.
 
     Args:
         config: The training.
         out: Results file.
     """
     noise = config.noise
+    least, most = noise.friction
     return EvaluateConfig(
         out=out,
         episodes=config.evaluation_episodes,
         seed=(config.seed + 1) % 2**32,
-        friction=sum(noise.friction) / 2,
+        friction=(least + most) / 2,
+        friction_spread=(most - least) / 2,
         offset_mm=1e3 * noise.offset_m,
         angle_deg=math.degrees(noise.angle_rad),
     )

@@ -43,9 +43,10 @@ class TrainConfig(ObjectsConfig):
     preset: Preset = "auto"
     """cpu, gpu, paper, end-to-end; auto takes gpu where JAX finds one and cpu otherwise. What this
     help shows as the other settings' defaults is what the preset sets. cpu and gpu train a policy
-    that feels forces and is given a budget of them, on a grip that answers to load; paper has the
-    published observation, command, actions, critic and number of worlds and steps; end-to-end is
-    the publication's baseline of one policy that reaches, closes and lifts."""
+    that feels forces and is given a budget of them, on a grip that answers to load, gpu from
+    nothing and cpu from the shipped policy; paper has the published observation, command, actions,
+    critic and number of worlds and steps; end-to-end is the publication's baseline of one policy
+    that reaches, closes and lifts."""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     handoffs: Path | None = None
@@ -60,6 +61,9 @@ class TrainConfig(ObjectsConfig):
     """folder of the run; runs/<preset>-<time> by default"""
     resume: Path | None = None
     """folder of a run to continue; its own configuration is used"""
+    start_from: str | None = None
+    """policy with which the training begins, of the same robot, observations, actions and layers: a
+    file, or `shipped`; None: it begins with nothing"""
     engine: Engine = "mjx"
     """what steps the physics: mjx (Warp, GPU or CPU) or mujoco (native, in threads)"""
     seed: Seed = 0
@@ -124,19 +128,22 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="cpu",
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
-            # So short a training would learn to let go under the prices that a long one can bear.
-            task=replace(FEELING, reward=replace(FEELING.reward, over_budget=-1.0, spent=0.0)),
-            noise=replace(VARIED, budget_n=(1.5, 6.0)),
+            task=FEELING,
+            noise=VARIED,
             objects=("rubiks_cube",),
             # Fewer are learnt by heart: what it sees anew it lifts less often.
             handoffs_per_object=512,
+            # From nothing, the steps that two cores make in minutes are too few.
+            start_from="shipped",
             engine="mujoco",
             ppo=PPOConfig(
                 worlds=128,
-                unroll=32,
-                iterations=300,
-                averaged=100,
-                action_std=0.15,
+                unroll=128,
+                iterations=50,
+                critic_first=0.15,
+                averaged=0.4,
+                learning_rate=1e-4,
+                action_std=0.08,
                 critic_rate=3e-4,
                 value_clip=0.5,
             ),

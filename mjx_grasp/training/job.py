@@ -22,9 +22,10 @@ from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import Devices, find_devices
 from mjx_grasp.learning.log import require_wandb
 from mjx_grasp.learning.memory import device_memory, worlds_that_fit
-from mjx_grasp.learning.policy import policy_from_training
+from mjx_grasp.learning.policy import Policy, policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
+from mjx_grasp.learning.warm_start import begin_from
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -37,6 +38,7 @@ from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.after import evaluate_run
 from mjx_grasp.training.config import TrainConfig
+from mjx_grasp.training.start import start_file, start_policy
 
 _OPENING = ("config.json", "provenance.json")
 """Files that are written when a run is opened."""
@@ -69,8 +71,9 @@ def run_training(
     console = console if devices.writes else Console(quiet=True)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
     robot = load_robot(config.robot)
+    start = start_policy(config, robot)
     stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
-    _check_same_handoffs(config)
+    _check_same_files(config)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
@@ -88,7 +91,8 @@ def run_training(
                     _discard_run(folder)
                 raise
             world = _build(scene, stored, config, console)
-        _run(folder, resumed, config, devices, world, stored, console, extra_terms, command)
+        begin = resumed or start
+        _run(folder, begin, config, devices, world, stored, console, extra_terms, command)
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
         again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
@@ -98,7 +102,7 @@ def run_training(
 
 def _run(
     folder: Path,
-    resumed: Path | None,
+    begin: Path | Policy | None,
     config: TrainConfig,
     devices: Devices,
     world: World,
@@ -107,7 +111,10 @@ def _run(
     extra_terms: tuple[RewardTerm, ...],
     command: str | None,
 ) -> None:
-    """Trains in an opened run, keeps the policy and evaluates it."""
+    """Trains in an opened run, keeps the policy and evaluates it.
+
+    It begins with a checkpoint, a policy or nothing.
+    """
     ppo = config.ppo
     names, _ = eligible(world.scene.object_names, handoffs)
     worlds = ppo.worlds // devices.count
@@ -127,10 +134,13 @@ def _run(
         f"{spread}, {ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
     )
     state = init_state(ppo, env, config.seed)
-    if resumed is not None:
-        state, goes_on = restore_checkpoint(resumed, state, env)
+    if isinstance(begin, Path):
+        state, goes_on = restore_checkpoint(begin, state, env)
         fresh = "" if goes_on else ", with fresh worlds: those of its version were others"
-        console.print(f"resumed from {resumed.name}{fresh}")
+        console.print(f"resumed from {begin.name}{fresh}")
+    elif begin is not None:
+        console.print(f"begins with a policy: {config.start_from}")
+        state = begin_from(begin, ppo, env, state)
     state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
     if not devices.writes:
         return
@@ -140,23 +150,24 @@ def _run(
         evaluate_run(folder, config, world, held_out, console, command)
 
 
-def _check_same_handoffs(config: TrainConfig) -> None:
-    """Refuses to resume on other start states than the run began with.
+def _check_same_files(config: TrainConfig) -> None:
+    """Refuses to resume with other start states, or another policy, than the run began with.
 
     Raises:
-        FileError: The handoff file has changed since, or the run's provenance cannot be read.
+        FileError: A file has changed since, or the run's provenance cannot be read.
     """
     if config.resume is None:
         return
     path, expected = config.resume / "provenance.json", "the provenance of the run to resume"
     made_of = read_json(path, expected).get("sha256", {})
-    began = made_of.get("handoffs") if isinstance(made_of, dict) else made_of
-    if not isinstance(began, str | None):
+    if not (isinstance(made_of, dict) and all(isinstance(x, str) for x in made_of.values())):
         raise FileError(path, f"sha256 = {made_of!r}", expected)
-    digest = file_digests(handoffs=config.handoffs).get("handoffs")
-    if began is not None and digest not in (None, began):
-        what = f"the file that {config.resume} began with (SHA-256 {began[:12]})"
-        raise FileError(config.handoffs or path, f"a changed file (SHA-256 {digest[:12]})", what)
+    given = {"handoffs": config.handoffs, "start_from": start_file(config)}
+    for name, digest in file_digests(**given).items():
+        if digest != made_of.get(name, digest):
+            what = f"the file that {config.resume} began with (SHA-256 {made_of[name][:12]})"
+            found = f"a changed file (SHA-256 {digest[:12]})"
+            raise FileError(given[name] or path, found, what)
 
 
 def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
@@ -205,7 +216,8 @@ def _open_run(
     """Writes the configuration and the provenance of a new run to its folder."""
     if config.resume is not None:
         return
-    made_of: dict[str, Any] = {"sha256": file_digests(handoffs=config.handoffs)}
+    digests = file_digests(handoffs=config.handoffs, start_from=start_file(config))
+    made_of: dict[str, Any] = {"sha256": digests}
     kind: str
     if stored is None:
         kind, wanted = config.handoffs_kind, config.handoffs_per_object

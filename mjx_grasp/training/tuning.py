@@ -257,7 +257,8 @@ def gathered(out: Path, runs: Sequence[Run]) -> list[dict[str, Any]]:
         }
         results = folder / "results.json"
         if results.exists():
-            policy = [r for r in read_results(results).rows if r.controller == "policy"]
+            rows_of = read_results(results).rows
+            policy = [r for r in rows_of if r.controller == "policy" and r.label is None]
             row["evaluated_percent"] = _mean(100 * r.successes / r.episodes for r in policy)
             forces = (r.force_mean_n for r in policy if r.force_mean_n is not None)
             row["evaluated_force_n"] = _mean(forces)

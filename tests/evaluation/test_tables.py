@@ -66,6 +66,11 @@ def test_controllers_are_columns_beside_the_papers():
     assert "10 episodes per object" in table.title
 
 
+def test_a_friction_that_differs_from_trial_to_trial_is_said():
+    assert "friction 0.8 ± 0.3" in success_table(eight(9, friction_spread=0.3)).title
+    assert "±" not in success_table(eight(9)).title.partition("friction")[2]
+
+
 def test_other_objects_have_no_figures_of_the_paper():
     only_others = success_table([row("pear", 3), row("mug", 4)])
     assert only_others.header == ("object", "policy")

@@ -11,7 +11,11 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.evaluation.front_tables import headline
+from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.run import evaluate, summarise
+from mjx_grasp.evaluation.tables import read_groups
+from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
@@ -38,7 +42,7 @@ def test_the_evaluation_has_the_condition_of_the_training():
     asked = condition(config, Path("results.json"))
     assert asked.noise.offset_m == pytest.approx(noise.offset_m)
     assert asked.noise.angle_rad == pytest.approx(noise.angle_rad)
-    assert asked.noise.friction == pytest.approx((0.5, 0.5))
+    assert asked.noise.friction == pytest.approx((0.4, 0.6))
     assert asked.seed == 8 and asked.episodes == config.evaluation_episodes
 
 
@@ -60,6 +64,40 @@ def test_fixed_fingers_and_coarse_steps_are_for_the_training_alone(
     assert config.scene.physics_dt > exact
     moving = replace(config.scene, fix_idle_fingers=False, physics_dt=exact)
     assert evaluation.value.args == (scene.objects, "rizon4_hx5d20", moving)
+
+
+def test_the_policy_that_a_training_began_with_is_evaluated_beside_it(
+    monkeypatch, tmp_path, scene, starts
+):
+    """With the same budgets, under a name of its own."""
+    config = replace(preset_config("cpu"), start_from="shipped")
+    (tmp_path / "policy.npz").write_bytes(asset_path("policy.npz").read_bytes())
+    asked = []
+
+    def evaluated(world, names, chosen, policy, *_):
+        asked.append(policy)
+        no, zeros = np.zeros(2, bool), np.zeros(2, np.int32)
+        forces = [np.array([2.0, 3.0])] * 5
+        trials = Trials(zeros, ~no, no, no, no, no, zeros, *forces)
+        return [summarise("box", trials, chosen, np.zeros(9, bool), config.task)], {}
+
+    for name, instead in (
+        ("build_scene", lambda *_: scene),
+        ("evaluate", evaluated),
+        ("best_grasp", lambda *_: None),
+        ("save_trajectory", lambda *_: None),
+    ):
+        monkeypatch.setattr(after, name, instead)
+    states = handmade.handoffs(scene.objects)
+    after.evaluate_run(tmp_path, config, World(scene, starts), states, Console(quiet=True))
+    rows = read_results(tmp_path / "results.json").rows
+    assert [(r.label, r.force_budget_n) for r in rows if r.controller == "policy"] == [
+        (name, budget) for name in (None, after.BEGAN_WITH) for budget in after.FORCE_BUDGETS_N
+    ]
+    assert all(row.label is None for row in rows if row.controller != "policy")
+    assert sum(policy is not None for policy in asked) == 2 * len(after.FORCE_BUDGETS_N)
+    said = " ".join(headline(read_groups([tmp_path / "results.json"])))
+    assert f"{after.BEGAN_WITH}, budget 3 N: " in said
 
 
 @pytest.mark.parametrize(

@@ -167,10 +167,24 @@ def test_the_last_iterations_keep_one_rate(env, trained):
     assert rates[1] > rates[0] > 2e-3 and rates[2] == np.float32(1e-3)
 
 
+def test_the_critic_may_learn_alone_at_first(env, trained):
+    """The actor and the rate stay; afterwards both learn."""
+    state, config = trained[0][0], tiny.ppo(2, learning_rate=1e-4, critic_first=0.5)
+    iterate = jax.jit(make_iteration(config, env))
+    first, metrics = iterate(state)
+    same(first.params.policy, state.params.policy)
+    same(first.policy, state.policy)
+    assert metrics["learning_rate"] == np.float32(1e-4)
+    critics = (jax.tree.leaves(s.params.value) for s in (state, first))
+    assert all(np.abs(a - b).max() > 0 for a, b in zip(*critics, strict=True))
+    actors = (jax.tree.leaves(s.params.policy) for s in (first, iterate(first)[0]))
+    assert all(np.abs(a - b).max() > 0 for a, b in zip(*actors, strict=True))
+
+
 def test_the_policy_is_the_mean_of_the_last_weights(env, trained):
     """Of those of the iterations that are asked for; of none it is the last ones, to the bit."""
     state = trained[0][0]
-    iterate = jax.jit(make_iteration(tiny.ppo(3, averaged=2), env))
+    iterate = jax.jit(make_iteration(tiny.ppo(3, averaged=0.67), env))
     states = []
     for _ in range(3):
         state, _ = iterate(state)

@@ -81,7 +81,7 @@ def test_the_camera_agrees_with_the_renderer_about_where_the_object_is(rendered)
 
 def test_pixels_on_the_object_give_anchors_within_two_millimetres(rendered):
     target, scene = rendered
-    pixels = object_pixels(scene, 300)
+    pixels = object_pixels(scene, 100)
     truth = surface_points(target, pixels)
     inside = np.random.default_rng(1).uniform(-0.5, 0.5, pixels.shape)
     anchors = np.array([anchor_at("x", p, target).point for p in pixels + inside])

@@ -405,6 +405,7 @@ def script(folder, iterations, seconds=0.0):
     )
 
 
+@pytest.mark.long
 def test_killed_training_resumes_to_the_same_parameters(tmp_path, capsys):
     killed = script(tmp_path / "killed", 4, seconds=0.5)
     deadline = time.monotonic() + 240

@@ -139,7 +139,7 @@ def settings_of(preset: str) -> TrainConfig:
             ppo=PPOConfig(
                 worlds=128,
                 unroll=128,
-                iterations=50,
+                iterations=30,
                 critic_first=0.15,
                 averaged=0.4,
                 learning_rate=1e-4,

@@ -251,6 +251,11 @@ def _layers(details: Sequence[dict[str, Any]]) -> Table:
     return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
 
 
+def _beginning(run: dict[str, Any]) -> str:
+    """Which policy a training went on from; older tables have only such as began with none."""
+    return f", from {run['start_from']}" if run.get("start_from") else ""
+
+
 def runs(paths: Sequence[Path]) -> str:
     """One line per training run of the closing task."""
     rows = [r for path in paths for r in run_rows(path) if r["task"] == "closing"]
@@ -263,7 +268,7 @@ def runs(paths: Sequence[Path]) -> str:
             f"{r['worlds']:,} × {r['unroll']}",
             r["residual"],
             "privileged" if r["privileged_critic"] else "66 observations",
-            " ".join(r["objects"]),
+            " ".join(r["objects"]) + _beginning(r),
             str(r["seed"]),
             f"{r['env_steps'] / 1e6:.1f}",
             f"{r['seconds_with_compilation']:.0f}",

@@ -87,6 +87,7 @@ def run_row(folder: Path) -> dict[str, Any]:
         "privileged_critic": ppo.privileged_critic,
         "seed": config.seed,
         "objects": config.objects,
+        "start_from": config.start_from and Path(config.start_from).name,
         "solver_iterations": config.scene.solver_iterations,
         "env_steps": int(float(metrics[-1]["env_steps"])),
         "seconds_with_compilation": float(metrics[-1]["seconds"]),

@@ -99,7 +99,7 @@ def first_run(path: Path) -> str:
         f"`make setup` and `make train` in a fresh clone took {m['total_s'] / 60:.1f} min on "
         f"{d['provenance']['device']}: {m['setup_s'] / 60:.1f} for the environment, "
         f"{m['training_s'] / 60:.1f} of training, the rest start states, evaluation, "
-        f"video and report. In {m['env_steps']:,} steps the return rose from "
+        f"video and report. In {m['env_steps']:,} steps the return went from "
         f"{m['return_first_tenth']:.0f} to {m['return_last_tenth']:.0f} and the share of lifted "
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."

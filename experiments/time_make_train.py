@@ -3,7 +3,7 @@
   python experiments/time_make_train.py --clone /tmp/fresh
 
 clones this repository's last commit, runs `make setup` and `make train` there, and writes how long
-they took, how far the return rose and what the evaluation found to
+they took, what the return did and what the evaluation found to
 `experiments/results/make_train_cpu.json`. The clone stays, with the run's report in it.
 Nothing else should run meanwhile.
 """

@@ -187,7 +187,7 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "| a card | nearer | 56 | 99,000 | 0.99 |" in detail
     assert "took 8.0 min" in detail
     assert "scenario obstacle: the first success in 2 random poses (seed 4)" in detail
-    assert "rose from 862 to 1134" in detail
+    assert "went from 862 to 1134" in detail
     assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
 
 

@@ -33,18 +33,19 @@ def begin_from(policy: Policy, config: PPOConfig, env: BraxTask, state: TrainSta
     Raises:
         InputError: The policy's layers have other sizes than the training's.
     """
-    devices, nets = env.devices, make_networks(config, env)
-    actor = actor_of(policy, state.params.policy)
+    devices = env.devices
+    make_policy = networks.make_inference_fn(make_networks(config, env))
     own = {"mean": jnp.asarray(policy.mean), "std": jnp.asarray(policy.std)}
+    actor, own = devices.common((actor_of(policy, state.params.policy), own))
 
-    def knowing(statistics: Any, **fields: Any) -> Any:
+    def knowing(statistics: Any, own: Any, **fields: Any) -> Any:
         """Of the actor's observations what the policy knows."""
         known = {name: getattr(statistics, name) | {"state": x} for name, x in own.items()}
         return statistics.replace(**known, **fields)
 
-    act = networks.make_inference_fn(nets)((knowing(state.normalizer), actor, state.params.value))
-
-    def on_one(learner: Any, worlds: State) -> tuple[Any, State]:
+    def on_one(given: Any, worlds: State) -> tuple[Any, State]:
+        learner, actor, own = given
+        act = make_policy((knowing(learner["normalizer"], own), actor, learner["params"].value))
         key = devices.own_key(learner["key"])
         _, data = acting.generate_unroll(env, worlds, act, key, config.unroll)
         seen = running_statistics.update(
@@ -55,9 +56,9 @@ def begin_from(policy: Policy, config: PPOConfig, env: BraxTask, state: TrainSta
         )
         return seen, worlds
 
-    seen, _ = jax.jit(devices.each(on_one))(learner_of(state), state.env)
+    seen, _ = jax.jit(devices.each(on_one))((learner_of(state), actor, own), state.env)
     steps = max(int(policy.meta.get("env_steps", 0)), config.steps_per_iteration)
-    normalizer = knowing(seen, count=UInt64(hi=steps >> 32, lo=steps % 2**32))
+    normalizer = knowing(seen, own, count=UInt64(hi=steps >> 32, lo=steps % 2**32))
     summed = {name: float(steps) * std**2 for name, std in normalizer.std.items()}
     begun = state._replace(
         params=state.params.replace(policy=actor),

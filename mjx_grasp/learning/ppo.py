@@ -195,10 +195,12 @@ def make_iteration(
             (state.optimizer, state.params, sgd_key),
             length=config.epochs,
         )
-        among = state.iteration + 1 - (config.iterations - averaged)
-        policy_params = optax.incremental_update(
-            params.policy, state.policy, 1.0 / jnp.maximum(among, 1)
-        )
+        policy_params = params.policy
+        if averaged:
+            among = state.iteration + 1 - (config.iterations - averaged)
+            policy_params = optax.incremental_update(
+                params.policy, state.policy, 1.0 / jnp.maximum(among, 1)
+            )
         # After the updates: the KL that adapts the learning rate compares with the old outputs.
         normalizer = running_statistics.update(
             state.normalizer,

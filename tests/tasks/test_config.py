@@ -261,7 +261,7 @@ def test_presets_change_what_they_must_and_no_more(monkeypatch, gpu):
             == task
             | {
                 "paper": TASK_OF_PAPER,
-                "cpu": TASK_THAT_FEELS | {"reward.over_budget": -1.0, "reward.spent": 0.0},
+                "cpu": TASK_THAT_FEELS,
                 "gpu": TASK_THAT_FEELS,
             }[name]
         )

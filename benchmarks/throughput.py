@@ -10,16 +10,17 @@ For each number of worlds it times, on the same device in the same process:
 
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
-All but the last step the very same states: those of one rollout of a running training after
+All loops but `ppo` go through the same states: those of one rollout of a running training after
 `--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's anew,
-`task` the rollout's actions. Scene, task and PPO are those of a
-preset of `mjx_grasp.train`. Medians of `--repeats` runs; compilation is timed apart.
+`task` the rollout's actions. Scene, task and PPO are those of a preset of `mjx_grasp.train`.
+Medians of `--repeats` runs; compilation is timed apart.
 
   python benchmarks/throughput.py --objects-dir DIR --out FILE.json
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import statistics
 import time
@@ -288,7 +289,7 @@ def _layers(
         ("mjx", mjx, (start.pipeline_state.physics, ticks)),
     ):
         jitted, compile_s[name] = compiled(function, *arguments)
-        run = lambda f=jitted, x=arguments: f(*x)  # noqa: E731
+        run = functools.partial(jitted, *arguments)
         seconds[name] = median_seconds(run, config.repeats) / unroll
     seconds["warp"], trace_ms = plain_warp(physics, ticks, config.repeats)
     return {

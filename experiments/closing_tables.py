@@ -71,7 +71,7 @@ _ONE_STATE = (
     "The first three begin at one state of a training and hold its commands, without resets, so "
     "that they step fewer contacts than the training does."
 )
-_ROLLOUT = "All but the last step the states of one rollout of a training."
+_ROLLOUT = "All but PPO go through the states of one rollout of a training."
 _GRAVITY = 9.81  # m/s²
 _WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}

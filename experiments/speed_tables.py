@@ -112,11 +112,12 @@ def _before_and_after(d: dict[str, Any]) -> str:
     """What the evaluation says that the training brought."""
     if "untrained_n" not in d:
         return ""
+    own = [r for r in d["rows"] if r.get("label") is None]
     count = {
         name: f"{sum(r['successes'] for r in rows)} of {sum(r['episodes'] for r in rows)}"
         for name, rows in (
-            ("before", [r for r in d["rows"] if r["squeeze_force_n"] == d["untrained_n"]]),
-            ("after", [r for r in d["rows"] if r["controller"] == "policy"]),
+            ("before", [r for r in own if r["squeeze_force_n"] == d["untrained_n"]]),
+            ("after", [r for r in own if r["controller"] == "policy"]),
         )
     }
     return (

@@ -73,22 +73,25 @@ def fresh_clone(folder: Path, python: str) -> float:
 def curve(path: Path) -> dict[str, float]:
     """Return and success at both ends of a training, each a mean over a tenth of its iterations.
 
+    Iterations in which no episode ended, such as the first ones, say nothing of either.
+
     Raises:
         FileError: Too few iterations to say.
     """
     with path.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
+        iterations = list(csv.DictReader(stream))
+    rows = [r for r in iterations if np.isfinite(float(r["return"]))]
     tenth = len(rows) // 10
     if tenth == 0:
-        raise FileError(path, f"{len(rows)} iterations", "ten or more")
+        raise FileError(path, f"{len(rows)} iterations with episodes", "ten or more")
 
     def mean(name: str, part: list[dict[str, str]]) -> float:
-        return float(np.nanmean([float(r[name]) for r in part]))
+        return float(np.mean([float(r[name]) for r in part]))
 
     return {
-        "iterations": len(rows),
-        "env_steps": int(float(rows[-1]["env_steps"])),
-        "training_s": float(rows[-1]["seconds"]),
+        "iterations": len(iterations),
+        "env_steps": int(float(iterations[-1]["env_steps"])),
+        "training_s": float(iterations[-1]["seconds"]),
         "return_first_tenth": mean("return", rows[:tenth]),
         "return_last_tenth": mean("return", rows[-tenth:]),
         "success_first_tenth_percent": 100 * mean("success", rows[:tenth]),

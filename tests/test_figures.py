@@ -168,6 +168,23 @@ def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
     assert "| mug | pieces | 2 | 8 | 0.00 | 2" in text
 
 
+def test_a_training_is_summed_up_by_the_iterations_in_which_episodes_ended(tmp_path):
+    """In the first ones none has: they say nothing of return and success."""
+    module = script("time_make_train")
+    path = tmp_path / "metrics.csv"
+    early = [f"{k},{10 * k},{k},nan,nan" for k in range(1, 4)]
+    later = [f"{k},{10 * k},{k},{100 + k},0.5" for k in range(4, 14)]
+    head = "iteration,env_steps,seconds,return,success"
+    path.write_text("\n".join((head, *early, *later)))
+    found = module.curve(path)
+    assert (found["return_first_tenth"], found["return_last_tenth"]) == (104.0, 113.0)
+    assert (found["iterations"], found["env_steps"], found["training_s"]) == (13, 130, 13.0)
+    assert found["success_last_tenth_percent"] == 50.0
+    path.write_text("\n".join((head, *early)))
+    with pytest.raises(FileError, match="0 iterations with episodes"):
+        module.curve(path)
+
+
 def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     pieces = script("convex_pieces")

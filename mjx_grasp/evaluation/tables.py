@@ -276,10 +276,11 @@ def _without_outcome(row: ResultRow) -> ResultRow:
     )  # fmt: skip
 
 
-def _column_order(column: Column) -> tuple[bool, float, float, str]:
+def _column_order(column: Column) -> tuple[bool, float, float, bool, str]:
     row = next(iter(column.rows.values()))
     force = row.squeeze_force_n
-    return (force is not None, force or 0.0, row.force_budget_n or 0.0, column.label)
+    another = row.label is not None
+    return (force is not None, force or 0.0, row.force_budget_n or 0.0, another, column.label)
 
 
 def _condition_order(c: Condition) -> tuple:

@@ -7,12 +7,13 @@ For each number of worlds it times, on the same device in the same process:
   task       the closing environment (commands, readings, rewards, stages, resets), given actions
   rollout    the same with the policy and the record of transitions
   ppo        whole PPO iterations: rollout and updates
+  sharded    the same over a mesh of this one device, as several devices train
 
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
-All loops but `ppo` go through the same states: those of one rollout of a running training after
+All loops but the last two go through the same states: those of one rollout of a running training after
 `--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's anew,
-`task` the rollout's actions. Scene, task and PPO are those of a preset of `mjx_grasp.train`.
+`task` the rollout's actions. `ppo` and `sharded` take turns, each with a training of its own. Scene, task and PPO are those of a preset of `mjx_grasp.train`.
 Medians of `--repeats` runs; compilation is timed apart.
 
   python benchmarks/throughput.py --objects-dir DIR --out FILE.json
@@ -35,6 +36,7 @@ import numpy as np
 import tyro
 from brax.training import acting
 from brax.training.agents.ppo import networks
+from jax.sharding import Mesh
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
@@ -43,6 +45,7 @@ from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.learning import ppo
 from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
+from mjx_grasp.learning.devices import AXIS, Devices
 from mjx_grasp.learning.memory import bytes_per_world
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed
@@ -71,7 +74,7 @@ class BenchmarkConfig(CommandSettings):
     """worlds x unroll of which whole PPO iterations alone are timed"""
     warm_up: Count = 6
     """PPO iterations before anything is timed"""
-    repeats: Count = 5
+    repeats: Count = 20
     seed: Seed = 0
 
 
@@ -176,6 +179,33 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
     return {name: statistics.median(ms) for name, ms in times.items()}
 
 
+class Loop:
+    """A running training, and how long each of its timed iterations took."""
+
+    def __init__(self, settings: PPOConfig, env: BraxTask, config: BenchmarkConfig):
+        self.state = ppo.init_state(settings, env, config.seed)
+        self._iteration = jax.jit(ppo.make_iteration(settings, env), donate_argnums=0)
+        self.times: list[float] = []
+        self.timed()
+        self.compile_s = self.times.pop()
+        for _ in range(config.warm_up):
+            self.timed()
+        self.times.clear()
+
+    def timed(self) -> None:
+        """One iteration."""
+        start = time.perf_counter()
+        self.state, self.metrics = self._iteration(self.state)
+        jax.block_until_ready(self.metrics)
+        self.times.append(time.perf_counter() - start)
+
+
+def sharded(env: BraxTask, stagger: bool) -> BraxTask:
+    """The same worlds on a mesh of one device."""
+    mesh = Mesh(np.array(jax.devices()[:1]), (AXIS,))
+    return BraxTask(env.task, env.worlds, stagger, Devices(mesh))
+
+
 def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> dict[str, Any]:
     """The timings of one setting: of whole PPO iterations, and of the layers below if wanted."""
     preset, robot = settings_of(config.preset), load_robot()
@@ -188,25 +218,18 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
     task = world.task("mjx", worlds, preset.task, preset.noise, settings.privileged_critic)
     env = BraxTask(task, worlds, settings.stagger)
 
-    state = ppo.init_state(settings, env, config.seed)
-    start = time.perf_counter()
-    iteration = jax.jit(ppo.make_iteration(settings, env), donate_argnums=0)
-    state, metrics = iteration(state)
-    jax.block_until_ready(metrics)
-    compile_s = {"ppo": time.perf_counter() - start}
-    for _ in range(config.warm_up):
-        state, metrics = iteration(state)
-    jax.block_until_ready(metrics)
-
-    times = []
-    for _ in range(config.repeats):
-        start = time.perf_counter()
-        state, metrics = iteration(state)
-        jax.block_until_ready(metrics)
-        times.append(time.perf_counter() - start)
-    seconds = {"ppo": statistics.median(times) / unroll}
-    inner = state.env.pipeline_state
+    loops = {"ppo": Loop(settings, env, config)}
     memory = jax.devices()[0].memory_stats() or {}
+    if layers:
+        loops["sharded"] = Loop(settings, sharded(env, settings.stagger), config)
+    for _ in range(config.repeats):
+        for loop in loops.values():  # in turn: a device's speed changes while it warms up
+            loop.timed()
+    compile_s = {name: loop.compile_s for name, loop in loops.items()}
+    seconds = {name: statistics.median(loop.times) / unroll for name, loop in loops.items()}
+    state, metrics = loops["ppo"].state, loops["ppo"].metrics
+    del loops
+    inner = state.env.pipeline_state
     found = {
         "worlds": worlds,
         "unroll": unroll,
@@ -300,7 +323,8 @@ def _layers(
 
 def throughput_rows(details: list[dict[str, Any]]) -> list[ThroughputRow]:
     """The timings as rows of a results file."""
-    loops = {"ppo": "ppo", "task": "env", "mjx": "physics", "warp": "mujoco_warp"}
+    loops = {"ppo": "ppo", "sharded": "ppo_sharded", "task": "env"}
+    loops |= {"mjx": "physics", "warp": "mujoco_warp"}
     return [
         ThroughputRow(
             loop=loop,
@@ -318,6 +342,8 @@ def throughput_rows(details: list[dict[str, Any]]) -> list[ThroughputRow]:
 
 def main(config: BenchmarkConfig) -> None:
     """Measures, prints each setting and writes the file after each of them."""
+    # As `find_devices` does for several; now, as a change of it compiles everything anew.
+    jax.config.update("jax_use_shardy_partitioner", False)
     details = []
     # Ascending: the peak of memory is that of the process so far.
     pairs = {tuple(map(int, s.split("x"))): s for s in (*config.sizes, *config.settings)}

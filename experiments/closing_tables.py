@@ -215,7 +215,8 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     for file in files:
         unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
         for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
-            ticks = f" × {unroll[row.worlds]}" if row.loop == "ppo" and unroll else ""
+            whole = row.loop.startswith("ppo")
+            ticks = f" × {unroll[row.worlds]}" if whole and unroll else ""
             rows.append(
                 (
                     str(file.provenance["device"]),
@@ -235,7 +236,8 @@ def _loop_name(row: ThroughputRow) -> str:
     """A loop and the engine that it is around."""
     if row.loop == "mujoco_warp":
         return "MuJoCo Warp alone"
-    return f"{row.loop}, {_ENGINES[row.engine]}"
+    loop = "ppo over a mesh of one device" if row.loop == "ppo_sharded" else row.loop
+    return f"{loop}, {_ENGINES[row.engine]}"
 
 
 def _layers(details: Sequence[dict[str, Any]]) -> Table:

@@ -129,7 +129,8 @@ class ThroughputRow:
     """Speed and memory of one loop with so many worlds."""
 
     loop: str
-    """What is timed: 'ppo' (the whole training), 'env', 'physics', 'mujoco_warp' (no JAX)."""
+    """What is timed: 'ppo' (the whole training), 'ppo_sharded' (the same over a mesh of this one
+    device), 'env', 'physics', 'mujoco_warp' (no JAX)."""
     engine: str
     """'mjx' or 'mujoco'."""
     worlds: int

@@ -11,9 +11,10 @@ For each number of worlds it times, on the same device in the same process:
 
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
-All loops but the last two go through the same states: those of one rollout of a running training after
-`--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's anew,
-`task` the rollout's actions. `ppo` and `sharded` take turns, each with a training of its own. Scene, task and PPO are those of a preset of `mjx_grasp.train`.
+All loops but the last two go through the same states: those of one rollout of a running training
+after `--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's
+anew, `task` the rollout's actions. `ppo` and `sharded` take turns, each with a training of its own.
+Scene, task and PPO are those of a preset of `mjx_grasp.train`.
 Medians of `--repeats` runs; compilation is timed apart.
 
   python benchmarks/throughput.py --objects-dir DIR --out FILE.json
@@ -116,15 +117,27 @@ def plain_warp(
     m.opt.warn_overflow = False
     d = mjw.make_data(model, nworld=worlds, **physics.buffers)
 
+    states, params = ticks
+    count = len(states["qpos"])
+    given = [
+        (owner, name, np.asarray(values))
+        for owner, fields in ((d, states), (m, jax.vmap(physics.world_fields)(params)))
+        for name, values in fields.items()
+    ]
+    rows = [
+        [
+            (owner, name, wp.array(x[tick], dtype=getattr(owner, name).dtype))
+            for owner, name, x in given
+        ]
+        for tick in range(count)
+    ]
+    for owner, name, field in rows[0]:
+        if owner is m:  # one row for all worlds until now
+            setattr(m, name, wp.clone(field))
+
     def put(tick: int) -> None:
-        state, params = jax.tree.map(lambda x: x[tick], ticks)
-        for owner, rows in ((d, state), (m, physics.world_fields(params))):
-            for name, new in rows.items():
-                field = wp.array(np.asarray(new), dtype=getattr(owner, name).dtype)
-                if owner is m and tick == 0:  # one row for all worlds until now
-                    setattr(m, name, field)
-                else:
-                    wp.copy(getattr(owner, name), field)
+        for owner, name, field in rows[tick]:
+            wp.copy(getattr(owner, name), field)
         wp.synchronize()
 
     def step() -> None:
@@ -150,7 +163,7 @@ def plain_warp(
 
     sums = np.zeros(repeats)
     for k in range(repeats):
-        for tick in range(count := len(ticks[0]["qpos"])):
+        for tick in range(count):
             put(tick)
             sums[k] += seconds()
     trace_ms = traced(lambda: mjw.step(m, d)) if on_gpu else {}

@@ -13,8 +13,8 @@ and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
 All loops but the last two go through the same states: those of one rollout of a running training
 after `--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's
-anew, `task` the rollout's actions. `ppo` and `sharded` take turns, each with a training of its own.
-Scene, task and PPO are those of a preset of `mjx_grasp.train`.
+anew, `task` the rollout's actions. `ppo` and `sharded` are trainings, one after the other. Scene,
+task and PPO are those of a preset of `mjx_grasp.train`.
 Medians of `--repeats` runs; compilation is timed apart.
 
   python benchmarks/throughput.py --objects-dir DIR --out FILE.json
@@ -193,24 +193,25 @@ def traced(step: Callable[[], None], repeats: int = 20) -> dict[str, float]:
 
 
 class Loop:
-    """A running training, and how long each of its timed iterations took."""
+    """A training: where it stands after being timed, and its median seconds per control tick.
+
+    One at a time: two that take turns, iteration by iteration, slow each other down on a GPU.
+    """
 
     def __init__(self, settings: PPOConfig, env: BraxTask, config: BenchmarkConfig):
         self.state = ppo.init_state(settings, env, config.seed)
         self._iteration = jax.jit(ppo.make_iteration(settings, env), donate_argnums=0)
-        self.times: list[float] = []
-        self.timed()
-        self.compile_s = self.times.pop()
+        self.compile_s = self._timed()
         for _ in range(config.warm_up):
-            self.timed()
-        self.times.clear()
+            self._timed()
+        times = [self._timed() for _ in range(config.repeats)]
+        self.seconds = statistics.median(times) / settings.unroll
 
-    def timed(self) -> None:
-        """One iteration."""
+    def _timed(self) -> float:
         start = time.perf_counter()
         self.state, self.metrics = self._iteration(self.state)
         jax.block_until_ready(self.metrics)
-        self.times.append(time.perf_counter() - start)
+        return time.perf_counter() - start
 
 
 def sharded(env: BraxTask, stagger: bool) -> BraxTask:
@@ -231,17 +232,15 @@ def measure(config: BenchmarkConfig, worlds: int, unroll: int, layers: bool) -> 
     task = world.task("mjx", worlds, preset.task, preset.noise, settings.privileged_critic)
     env = BraxTask(task, worlds, settings.stagger)
 
-    loops = {"ppo": Loop(settings, env, config)}
+    loop = Loop(settings, env, config)
+    state, metrics = loop.state, loop.metrics
     memory = jax.devices()[0].memory_stats() or {}
+    compile_s, seconds = {"ppo": loop.compile_s}, {"ppo": loop.seconds}
+    del loop
     if layers:
-        loops["sharded"] = Loop(settings, sharded(env, settings.stagger), config)
-    for _ in range(config.repeats):
-        for loop in loops.values():  # in turn: a device's speed changes while it warms up
-            loop.timed()
-    compile_s = {name: loop.compile_s for name, loop in loops.items()}
-    seconds = {name: statistics.median(loop.times) / unroll for name, loop in loops.items()}
-    state, metrics = loops["ppo"].state, loops["ppo"].metrics
-    del loops
+        twin = Loop(settings, sharded(env, settings.stagger), config)
+        compile_s["sharded"], seconds["sharded"] = twin.compile_s, twin.seconds
+        del twin
     inner = state.env.pipeline_state
     found = {
         "worlds": worlds,

@@ -71,6 +71,10 @@ _ONE_STATE = (
     "The first three begin at one state of a training and hold its commands, without resets, so "
     "that they step fewer contacts than the training does."
 )
+_TURNS = (
+    " The training and the one over a mesh took turns, iteration by iteration, which slows both: "
+    "they can be compared with each other, and not with the loops below them."
+)
 _ROLLOUT = "All but PPO go through the states of one rollout of a training."
 _GRAVITY = 9.81  # m/s²
 _WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
@@ -205,7 +209,8 @@ def throughput(paths: Sequence[Path]) -> str:
         apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
         if apart:
             states = _ROLLOUT if file.extra.get("states") == "rollout" else _ONE_STATE
-            parts += [LAYERS.format(states=states), markdown(_layers(apart))]
+            states += _TURNS if (turns := file.extra.get("turns", False)) else ""
+            parts += [LAYERS.format(states=states), markdown(_layers(apart, turns))]
     return "\n\n".join(parts)
 
 
@@ -240,15 +245,23 @@ def _loop_name(row: ThroughputRow) -> str:
     return f"{loop}, {_ENGINES[row.engine]}"
 
 
-def _layers(details: Sequence[dict[str, Any]]) -> Table:
-    """Milliseconds per control tick of each loop, and of a physics step's parts."""
+def _layers(details: Sequence[dict[str, Any]], turns: bool) -> Table:
+    """Milliseconds per control tick of each loop, and of a physics step's parts.
+
+    Args:
+        details: Of every number of worlds.
+        turns: Whether PPO's loop was slowed by another that took turns with it.
+    """
     rows = []
     for d in details:
         tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
+        tick, share = (
+            (tick | {"ppo": math.nan}, math.nan) if turns else (tick, d["ratio_ppo_to_warp"])
+        )
         loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
         parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
-        times = (f"{ms:.2f}" for ms in (*loops, *parts))
-        rows.append((f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
+        times = ("" if math.isnan(x) else f"{x:.2f}" for x in (*loops, *parts, share))
+        rows.append((f"{d['worlds']:,}", *times))
     header = ("worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO", *_STEP_PARTS)
     return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
 

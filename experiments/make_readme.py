@@ -60,6 +60,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     files = sorted(folder.glob("*.json"))
     schemas = {path: schema_of(path) for path in files}
     results = [p for p in files if schemas[p] == SCHEMAS[ResultRow]]
+    on_devices = sorted(folder.glob("devices_*.json"))
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
         root / "README.md": {"results": closing_tables.means(results)},
@@ -72,8 +73,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "handoffs": closing_tables.shipped_handoffs(folder),
             "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
             "throughput": closing_tables.throughput(throughput),
-            "devices": speed_tables.devices(sorted(folder.glob("devices_*.json"))),
-            "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json"))),
+            "devices": speed_tables.devices(on_devices),
+            "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json")), on_devices),
             "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),

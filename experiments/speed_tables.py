@@ -178,6 +178,7 @@ def devices(paths: Sequence[Path]) -> str:
                 f"{r['worlds']:,}",
                 r["outcome"].split(":")[0],
                 f"{r['env_steps'] / 1e6:.1f}",
+                f"{r['seconds']:.0f}",
                 f"{speed:,.0f}" if speed else "",
                 f"{speed / one:.2f}" if compared else "",
                 "" if r["success_percent"] is None else f"{r['success_percent']:.1f}",
@@ -186,33 +187,50 @@ def devices(paths: Sequence[Path]) -> str:
             )
         )
     header = (
-        "device", "GPUs", "processes", "worlds of each", "came to", "M steps", "control steps/s",
-        "times one", "success %", "force N", "seed",
+        "device", "GPUs", "processes", "worlds of each", "came to", "M steps", "s in all",
+        "control steps/s", "times one", "success %", "force N", "seed",
     )  # fmt: skip
     return markdown(Table("Several GPUs", header, tuple(rows), names=3)) if rows else NOTHING
 
 
-def tuned(paths: Sequence[Path]) -> str:
-    """Trainings that shared machines: how long each of them took, and all together."""
-    rows = []
+def tuned(paths: Sequence[Path], devices: Sequence[Path] = ()) -> str:
+    """Trainings that shared machines: how long each of them took, and all together.
+
+    Args:
+        paths: Tables of `tune`.
+        devices: Files of trainings alone on one GPU. Where one of them is of the same worlds and
+            iterations, that many of it one after the other are the comparison.
+    """
+    rows, alone = [], {}
+    for d in (read_json(path, "a results file") for path in devices):
+        for r in d["rows"]:
+            if r["devices"] == 1 and r["outcome"] == "finished":
+                alone[d["provenance"]["device"], r["worlds"], r["iterations"]] = r["seconds"]
     for path in paths:
         d = read_json(path, "a results file")
         success = [r["trained_percent"] for r in d["rows"]]
-        took, gpus = d.get("took_s"), d["settings"]["gpus"]
+        took, gpus, flags = (
+            d.get("took_s"),
+            d["settings"]["gpus"],
+            d.get("plan", {}).get("flags", {}),
+        )
+        device = d["provenance"]["device"]
+        one = alone.get((device, flags.get("ppo.worlds"), flags.get("ppo.iterations")))
         rows.append(
             (
-                d["provenance"]["device"],
+                device,
                 ", ".join(dict.fromkeys(r["setting"] for r in d["rows"])),
                 str(len(success)),
                 f"{d['settings']['cpus']:g}",
                 f"{gpus:g}" if gpus else "",
                 f"{statistics.median(r['seconds'] for r in d['rows']):.0f}",
                 f"{took:.0f}" if took else "",
+                f"{one * len(success):.0f}" if one else "",
                 f"{statistics.mean(success):.1f} ({min(success):.1f}–{max(success):.1f})",
             )
         )
     header = (
         "device", "setting", "seeds", "cores of each", "GPUs of each", "each s, median", "all s",
-        "success %, least to most",
+        "one by one s", "success %, least to most",
     )  # fmt: skip
     return markdown(Table("Many trainings", header, tuple(rows), names=2)) if rows else NOTHING

@@ -204,12 +204,17 @@ def test_layers_say_which_states_they_step(tmp_path):
     layers = dict.fromkeys(("warp", "mjx", "task", "rollout", "ppo"), 2.0)
     detail = {"worlds": 8, "unroll": 4, "ratio_ppo_to_warp": 0.5, "ms_per_control_tick": layers}
     detail |= {"warp_step_trace_ms": {"step": 1.0}}
-    for name, states in (("old", {}), ("new", {"states": "rollout"})):
+    rollout = {"states": "rollout"}
+    for name, states in (("old", {}), ("new", rollout), ("slowed", rollout | {"turns": True})):
         path = tmp_path / f"{name}.json"
         write_results(path, [row], PROVENANCE, FIRST_ROBOT, details=[detail], **states)
         said[name] = make_readme.closing_tables.throughput([path])
     assert "hold its commands" in said["old"] and "of one rollout" not in said["old"]
     assert "of one rollout" in said["new"] and "hold its commands" not in said["new"]
+    assert "| 8 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 1.00 |" in said["new"]
+    assert "| 0.50 |" in said["new"] and "took turns" not in said["new"]
+    assert "| 8 | 2.00 | 2.00 | 2.00 | 2.00 |  | 1.00 |" in said["slowed"]
+    assert "| 0.50 |" not in said["slowed"] and "took turns" in said["slowed"]
 
 
 def test_policies_stand_beside_the_squeeze_of_the_same_force(root):
@@ -474,6 +479,7 @@ def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
         "env_steps": 2_500_000,
         "success_percent": 84.56,
         "force_n": 2.04,
+        "seconds": 70.4,
     }
     rows = [
         row | {"devices": 2, "way": "donate", "steps_per_s": 190_000.0},
@@ -486,16 +492,17 @@ def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
     made = {"settings": {"seed": 3}, "rows": rows, "provenance": PROVENANCE}
     path.write_text(json.dumps(made))
     one, donating, processes, more = map(values, table([path]).splitlines()[2:])
-    assert one[1:] == ["1", "one", "4,096", "finished", "2.5", "100,000", "", "84.6", "2.0", "3"]
-    assert donating[1:3] == ["2", "one, donating"] and donating[6:8] == ["190,000", "1.90"]
-    assert processes[2:] == ["one each", "4,096", "failed (-11)", "0.0", "", "", "", "", "3"]
-    assert more[6:8] == ["1,000,000", ""]
+    assert one[1:7] == ["1", "one", "4,096", "finished", "2.5", "70"]
+    assert one[7:] == ["100,000", "", "84.6", "2.0", "3"]
+    assert donating[1:3] == ["2", "one, donating"] and donating[7:9] == ["190,000", "1.90"]
+    assert processes[2:] == ["one each", "4,096", "failed (-11)", "0.0", "70", "", "", "", "", "3"]
+    assert more[7:9] == ["1,000,000", ""]
 
 
 def test_several_gpus_are_compared_with_one_of_their_own_revision(tmp_path):
     row = {
         "worlds": 64, "outcome": "finished", "env_steps": 0, "way": "sharded",
-        "success_percent": None, "force_n": None,
+        "success_percent": None, "force_n": None, "seconds": 9.0,
     }  # fmt: skip
 
     def written(name, git, **speeds):
@@ -511,7 +518,7 @@ def test_several_gpus_are_compared_with_one_of_their_own_revision(tmp_path):
         written("c", "other", x4=400.0),
     ]
     lines = make_readme.speed_tables.devices(paths).splitlines()[2:]
-    times = {values(line)[6]: values(line)[7] for line in lines}
+    times = {values(line)[7]: values(line)[8] for line in lines}
     assert times == {"100": "", "200": "", "150": "1.50", "380": "1.90", "400": "2.00"}
 
 
@@ -527,7 +534,18 @@ def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):
     path = tmp_path / "tune.json"
     path.write_text(json.dumps(record))
     _, _, row = make_readme.speed_tables.tuned([path]).splitlines()
-    assert values(row)[1:] == ["cpu", "3", "1", "", "20", "42", "85.0 (80.0–90.0)"]
+    assert values(row)[1:] == ["cpu", "3", "1", "", "20", "42", "", "85.0 (80.0–90.0)"]
+    alone = {
+        "worlds": 512, "iterations": 9, "devices": 1, "outcome": "finished", "seconds": 25.0
+    }  # fmt: skip
+    others = ({"worlds": 256}, {"outcome": "hung"}, {"devices": 2}, {"iterations": 8})
+    rows = [alone, *(alone | other | {"seconds": 1.0} for other in others)]
+    devices = tmp_path / "devices.json"
+    devices.write_text(json.dumps({"rows": rows, "provenance": PROVENANCE}))
+    plan = {"flags": {"ppo.worlds": 512, "ppo.iterations": 9}}
+    path.write_text(json.dumps(record | {"plan": plan}))
+    _, _, row = make_readme.speed_tables.tuned([path], [devices]).splitlines()
+    assert values(row)[6:8] == ["42", "75"]
 
 
 def values(line):

@@ -127,6 +127,7 @@ def test_a_comparison_by_two_processes_is_that_of_one(two_cores, tmp_path, monke
     "command",
     [
         "evaluate --controller squeeze --objects foam_brick sugar_box --episodes 2",
+        "scenarios --scenarios nominal --objects foam_brick apple --episodes 1 --controller grip",
         "sweep_reach --preset straight --no-bound --poses 6 --chunk 3",
     ],
 )
@@ -139,5 +140,8 @@ def test_a_command_by_two_processes_writes_what_it_writes_alone(two_cores, tmp_p
         )
         assert done.returncode == 0, done.stderr
     one, two = (json.loads(out.read_text()) for out in files)
-    different = {"provenance", "seconds"} | ({"settings"} if command.startswith("e") else set())
+    for of_one in (*one.get("scenarios", {}).values(), *two.get("scenarios", {}).values()):
+        assert of_one.pop("seconds") > 0.0
+    said = {"evaluate": {"settings"}, "scenarios": {"config"}}.get(command.split()[0], set())
+    different = {"provenance", "seconds"} | said
     assert {name for name in one if one[name] != two[name]} <= different

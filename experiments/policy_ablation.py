@@ -152,6 +152,7 @@ def main(config: AblationConfig) -> None:
                 "run": folder.name,
                 "changes": changes(trained),
                 "seed": trained.seed,
+                "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
                 "trained": read_json(folder / "provenance.json", "the provenance of a run"),
                 "evaluations": evaluated(world, folder / "policy.npz", config),
             }

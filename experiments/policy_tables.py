@@ -21,7 +21,6 @@ from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
-from mjx_grasp.training.config import settings_of
 
 
 class Evaluated(NamedTuple):
@@ -196,10 +195,8 @@ def ablation(path: Path) -> str:
         words = ", ".join(f"`{name}` {_said(value)}" for name, value in _differs(row).items())
         lines.append((words or "preset", str(row["seed"]), *(cells[key] for key in asked)))
     header = ("differs in", "seed", *(f"{name}, {budget:g} N" for name, budget in asked))
-    ppo = settings_of("gpu").ppo
-    iterations = rows[0]["changes"].get("ppo.iterations", ppo.iterations)
-    steps = 1e-6 * iterations * ppo.worlds * ppo.unroll
-    said = _ABLATION.format(steps=steps, trials=rows[0]["evaluations"][0]["trials"])
+    steps, trials = 1e-6 * rows[0]["env_steps"], rows[0]["evaluations"][0]["trials"]
+    said = _ABLATION.format(steps=steps, trials=trials)
     return f"{said}\n\n{markdown(Table('Ablation', header, tuple(lines), names=1))}"
 
 

@@ -66,7 +66,7 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     sums = {"trials": 8, "success_percent": 87.5, "force_mean_n": 2.0, "within_3n_percent": 75.0}
     sums |= {"condition": "hard", "budget_n": 1.5}
     rows = [
-        {"run": "b", "seed": 0, "changes": unheld, "evaluations": [sums]},
+        {"run": "b", "seed": 0, "env_steps": 15_728_640, "changes": unheld, "evaluations": [sums]},
         {"run": "a", "seed": 1, "changes": {"ppo.iterations": 240}, "evaluations": [sums]},
     ]
     path = tmp_path / "ablation.json"

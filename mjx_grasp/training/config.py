@@ -155,7 +155,14 @@ def settings_of(preset: str) -> TrainConfig:
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
             task=FEELING,
             noise=VARIED,
-            ppo=PPOConfig(iterations=470, action_std=0.15, critic_rate=3e-4, value_clip=0.5),
+            ppo=PPOConfig(
+                worlds=8192,
+                iterations=235,
+                averaged=0.3,
+                action_std=0.15,
+                critic_rate=3e-4,
+                value_clip=0.5,
+            ),
         )
     if preset == "paper":
         return TrainConfig(

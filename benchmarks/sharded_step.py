@@ -6,6 +6,10 @@ what it has computed, as it does with JAX 0.10.2. CPUs as devices show it; no GP
 them the process may then hang or abort while it exits.) Trainings on several devices switch Shardy
 off for that reason (`mjx_grasp/learning/devices.py`).
 
+On GPUs it also shows which of MuJoCo Warp's ways to keep CUDA graphs bear several devices
+(`--graph`): of WARP_STAGED it is reported that it does not (MuJoCo issue 3191). Trainings use WARP,
+MJX's default.
+
   XLA_FLAGS=--xla_force_host_platform_device_count=4 JAX_PLATFORMS=cpu \
     python -X faulthandler benchmarks/sharded_step.py
 """
@@ -13,6 +17,7 @@ off for that reason (`mjx_grasp/learning/devices.py`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +26,7 @@ import numpy as np
 import tyro
 from jax.sharding import Mesh, PartitionSpec
 from mujoco import mjx
+from mujoco.mjx.warp.types import GraphMode
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.records.settings import CommandSettings, Count
@@ -42,13 +48,18 @@ class StepConfig(CommandSettings):
     devices: Count = 2
     worlds: Count = 4
     """of each device [-]"""
+    graph: Literal["NONE", "WARP", "WARP_STAGED", "WARP_STAGED_EX"] = "WARP"
+    """how CUDA graphs are captured and kept; those of WARP_STAGED need GPUs"""
+    steps: Count = 8
+    """one after the other, as graphs are captured at first and then used again [-]"""
 
 
 def main(config: StepConfig) -> None:
-    """Compiles and runs one step."""
+    """Compiles a step and runs it some times."""
     jax.config.update("jax_use_shardy_partitioner", config.shardy)
     model = mujoco.MjModel.from_xml_string(SCENE)
-    on_device = mjx.put_model(model, impl="warp")
+    graph = getattr(GraphMode, config.graph)
+    on_device = mjx.put_model(model, impl="warp", graph_mode=graph)
     split = PartitionSpec("devices")
     mesh = Mesh(np.array(jax.devices()[: config.devices]), ("devices",))
 
@@ -59,7 +70,11 @@ def main(config: StepConfig) -> None:
 
     step = jax.shard_map(stepped, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
     qpos = jnp.tile(jnp.asarray(model.qpos0), (config.devices * config.worlds, 1))
-    print(f"JAX {jax.__version__}: {jax.jit(step)(qpos).shape}", flush=True)
+    jitted = jax.jit(step)
+    for _ in range(config.steps):
+        qpos = jitted(qpos)
+    apart = float(jnp.ptp(qpos, axis=0).max())  # all begin alike
+    print(f"JAX {jax.__version__}: {qpos.shape}, worlds up to {apart:g} apart", flush=True)
 
 
 if __name__ == "__main__":

@@ -48,8 +48,8 @@ class StepConfig(CommandSettings):
     devices: Count = 2
     worlds: Count = 4
     """of each device [-]"""
-    graph: Literal["NONE", "WARP", "WARP_STAGED", "WARP_STAGED_EX"] = "WARP"
-    """how CUDA graphs are captured and kept; those of WARP_STAGED need GPUs"""
+    graph: Literal["NONE", "WARP", "WARP_STAGED", "WARP_STAGED_EX"] | None = None
+    """how CUDA graphs are captured and kept; None: MJX's default, the only way on CPUs"""
     steps: Count = 8
     """one after the other, as graphs are captured at first and then used again [-]"""
 
@@ -58,7 +58,7 @@ def main(config: StepConfig) -> None:
     """Compiles a step and runs it some times."""
     jax.config.update("jax_use_shardy_partitioner", config.shardy)
     model = mujoco.MjModel.from_xml_string(SCENE)
-    graph = getattr(GraphMode, config.graph)
+    graph = None if config.graph is None else getattr(GraphMode, config.graph)
     on_device = mjx.put_model(model, impl="warp", graph_mode=graph)
     split = PartitionSpec("devices")
     mesh = Mesh(np.array(jax.devices()[: config.devices]), ("devices",))

@@ -15,7 +15,11 @@ from collect_runs import run_rows
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table
+from mjx_grasp.evaluation.front_tables import (
+    budget_table,
+    equal_force_table,
+    object_budget_table,
+)
 from mjx_grasp.evaluation.handoff_tables import tip_error_table
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
@@ -54,6 +58,11 @@ WITHIN_BUDGET = (
     "at the best of its settings for each budget; *best of each trial* is the share of trials for "
     "which at least one of all these controllers and settings did it, which bounds what any choice "
     "among them can reach."
+)
+BY_OBJECT = (
+    "The same two shares for each object, the policy at the best of its settings for it: what is "
+    "missing within a budget is mostly of the objects whose weight alone asks for nearly as much "
+    "(next table)."
 )
 ON_WALLS = (
     "What the weight alone asks of three contacts on upright walls that share it: a contact that "
@@ -128,7 +137,11 @@ def all_conditions(paths: Sequence[Path]) -> str:
         return NOTHING
     parts = [EXPLANATION]
     parts += ["### Means over the objects", *_means_by_engine(groups)]
-    for make, text in ((equal_force_table, EQUAL_FORCE), (budget_table, WITHIN_BUDGET)):
+    for make, text in (
+        (equal_force_table, EQUAL_FORCE),
+        (budget_table, WITHIN_BUDGET),
+        (object_budget_table, BY_OBJECT),
+    ):
         if (table := make(groups)).rows:
             parts += [f"### {table.title}", text, markdown(table)]
     table = least_forces(sorted({name for group in groups for name in group.objects}))

@@ -25,6 +25,7 @@ from mjx_grasp.evaluation.tables import Column, Condition, Groups
 from mjx_grasp.records.table import Table
 
 BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0)
+_OBJECT_BUDGETS_N = (3.0, 4.0)
 _BASELINES = ("squeeze", "grip")
 
 
@@ -146,6 +147,31 @@ def budget_table(groups: Groups) -> Table:
                 rows.append((condition.short(), f"{name} − {other}", *gains))
     header = ("condition", "controller", *(f"{budget:g} N" for budget in BUDGETS_N))
     return Table("Lifted within a mean force per finger, %", header, tuple(rows), names=2)
+
+
+def object_budget_table(groups: Groups) -> Table:
+    """The same object by object, of the policy alone: which of them ask for more than the budget.
+
+    Of a policy with several settings it is the best setting's for each object and budget.
+    """
+    rows = []
+    asked = np.asarray(_OBJECT_BUDGETS_N)
+    for condition, front in _all(groups):
+        names, of = sorted(front.columns[0].rows), front.trials.object
+        if "policy" not in front.families or len(names) == 1:
+            continue
+        for k, name in enumerate(names):
+            weights = ((of == k) / np.sum(of == k))[None]
+            best = success_within(front.trials, weights, front.families["policy"], asked)[0]
+            any_ = success_within_by_any(front.trials, weights, asked)[0]
+            shares = (f"{x:.1f}" for pair in zip(best, any_, strict=True) for x in pair)
+            rows.append((condition.short(), name.replace("_", " "), *shares))
+    header = ["condition", "object"]
+    for budget in _OBJECT_BUDGETS_N:
+        header += [f"{budget:g} N: policy", f"{budget:g} N: best of each trial"]
+    return Table(
+        "Lifted within 3 and 4 N, object by object, %", tuple(header), tuple(rows), names=2
+    )
 
 
 def headline(groups: Groups) -> list[str]:

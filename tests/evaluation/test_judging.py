@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.front_tables import budget_table, equal_force_table, fronts, headline
+from mjx_grasp.evaluation.front_tables import (
+    budget_table,
+    equal_force_table,
+    fronts,
+    headline,
+    object_budget_table,
+)
 from mjx_grasp.evaluation.judging import (
     gain,
     gain_at_equal_force,
@@ -252,9 +258,27 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     assert budgets["policy − grip"][1].startswith("+25.0 (")
     assert "squeeze − grip" not in budgets
 
+    assert not object_budget_table(groups).rows, "of one object it is the table before"
     text = " ".join(headline(groups))
     assert "policy, budget 3 N: 100.0 % lifted at 2.0 N per finger" in text
     assert "a squeeze of the same force lifts 50.0 %, +50.0 (" in text
+
+
+def test_what_is_lifted_within_a_budget_is_told_object_by_object(tmp_path):
+    forces = (2.0, 3.5, 2.0, 5.0)
+    rows = [
+        replace(row("SSLS", forces, force_budget_n=3.0), object="apple"),
+        replace(row("SSSS", forces, force_budget_n=8.0), object="apple"),
+        replace(squeeze(5.0, "LLLS", (2.0, 2.0, 2.0, 2.5)), object="apple"),
+        replace(row("LLLL", forces, force_budget_n=3.0), object="mug"),
+        replace(row("LLLL", forces, force_budget_n=8.0), object="mug"),
+        replace(squeeze(5.0, "LLLS", forces), object="mug"),
+    ]
+    table = object_budget_table(groups_of(tmp_path, *rows))
+    assert [line[1:] for line in table.rows] == [
+        ("apple", "50.0", "75.0", "75.0", "100.0"),
+        ("mug", "0.0", "0.0", "0.0", "0.0"),
+    ]
 
 
 def test_files_of_before_have_no_front(tmp_path):

@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -80,8 +81,13 @@ def load_catalogue() -> dict[str, ObjectInfo]:
         FileError: The catalogue is damaged.
     """
     path = asset_path("catalogue.yaml")
+    return dict(_catalogue(path, path.read_bytes()))
+
+
+@lru_cache(maxsize=4)  # commands ask a score of times, and parsing takes a tenth of a second
+def _catalogue(path: Path, content: bytes) -> dict[str, ObjectInfo]:
     try:
-        entries = [_entry(e) for e in yaml.safe_load(path.read_text())["objects"]]
+        entries = [_entry(e) for e in yaml.safe_load(content)["objects"]]
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise FileError(path, f"a damaged catalogue ({error!r})", "a list of objects") from None
     catalogue = {e.name: e for e in entries}

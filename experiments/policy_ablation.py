@@ -107,7 +107,7 @@ def evaluated(world: World, policy_file: Path, config: AblationConfig) -> list[d
     size = config.episodes * len(indices)
     widest = CONDITIONS["other robot"]
     task = world.task("mujoco", size, policy_task(policy), widest, with_privileged=False)
-    trials = run_trials(task, lambda obs: policy(obs["state"]), draw, size)
+    trials = run_trials(task, policy.controller(), draw, size)
     return [
         {"condition": name, "budget_n": budget}
         | _sums(Trials(*(column[k * size : (k + 1) * size] for column in trials)), len(indices))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Shaped
@@ -29,8 +30,10 @@ from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.provenance import usable_cores
-from mjx_grasp.tasks.assemble import TaskConfig, World
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, World
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.success import FAILURES
+from mjx_grasp.tasks.task import Task
 
 
 def chosen_states(
@@ -74,8 +77,10 @@ def evaluate(
     """
     task = policy_task(policy) if policy else model_based(task or TaskConfig(), config)
     worlds = min(config.worlds, config.episodes)
-    run = world.task(config.engine, worlds, task, config.noise, with_privileged=False)
-    controller = (lambda obs: policy(obs["state"])) if policy else zero_controller(run)
+    # The trials are drawn here: a task knows of the noise only what it is reminded of at each tick.
+    felt = StartNoise(angle_rad=config.noise.angle_rad, robot=config.noise.robot)
+    run = _task(world, config.engine, worlds, task, felt)
+    controller = policy.controller() if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:
         threads = f", {usable_cores()} threads" if config.engine == "mujoco" else ""
@@ -89,6 +94,12 @@ def evaluate(
             _warn(name, trials[name], console)
             bar.update(job, advance=1)
     return rows, trials
+
+
+@lru_cache(maxsize=1)
+def _task(world: World, engine: Engine, worlds: int, config: TaskConfig, noise: StartNoise) -> Task:
+    """The task of an evaluation; the next one's is the same if it differs in its draws alone."""
+    return world.task(engine, worlds, config, noise, with_privileged=False)
 
 
 def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:

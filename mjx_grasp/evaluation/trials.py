@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
@@ -78,24 +79,37 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
 
     Args:
         task: On an engine.
-        controller: The controller.
+        controller: The controller. Of two `jax.tree_util.Partial` of the same function, one after
+            the other on the same task, the second is not compiled again.
         draw: Starts.
         worlds: Worlds per batch; an MJX engine's own number.
     """
     known: Any = task  # mypy does not know that a task has a hash
-    count, batch = len(draw.row), _compiled(known, controller)
+    act, told = controller, ()
+    if isinstance(controller, Partial):
+        act, told = controller.func, controller.args
+    count, batch = len(draw.row), _compiled(known, act)
     parts = []
     for first in range(0, count, worlds):
         index = np.minimum(np.arange(first, first + worlds), count - 1)
-        part = batch(jax.tree.map(lambda x, rows=index: x[rows], draw))
+        part = batch(told, jax.tree.map(lambda x, rows=index: x[rows], draw))
         parts.append(Trials(*(np.asarray(x)[: count - first] for x in part)))
     return Trials(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
 
 @functools.lru_cache(maxsize=1)
-def _compiled(task: Task, controller: Controller) -> Callable[[StartDraw], Trials]:
-    """Episodes of a task; what is asked for again, for another object, is compiled once."""
-    return jax.jit(lambda draw: _episode(task, controller, draw, lambda state: ())[0])
+def _compiled(task: Task, act: Callable) -> Callable[[tuple, StartDraw], Trials]:
+    """Episodes of a task; what is asked for again, for another object or policy, is compiled once.
+
+    Args:
+        task: On an engine.
+        act: The controller, whose first arguments are those that the compiled function is given.
+    """
+
+    def episodes(told: tuple, draw: StartDraw) -> Trials:
+        return _episode(task, functools.partial(act, *told), draw, lambda state: ())[0]
+
+    return jax.jit(episodes)
 
 
 def record_trials(

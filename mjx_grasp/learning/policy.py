@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import RunningStatisticsState
 from flax import linen
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.stored_policy import StoredPolicy
 from mjx_grasp.robot.identity import RobotIdentity
+
+_Arrays = tuple[Any, Any, tuple[Any, ...], tuple[Any, ...]]
+"""Mean, standard deviation, weights, biases."""
 
 
 class Policy(StoredPolicy):
@@ -23,12 +28,33 @@ class Policy(StoredPolicy):
 
     def __call__(self, obs: Float[Array, "*b d"]) -> Float[Array, "*b a"]:
         """Actions for observations (`state`); pure, jittable."""
-        x = (obs - self.mean) / self.std
-        for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = x @ w + b
-            if i < len(self.weights) - 1:
-                x = linen.elu(x)
-        return jnp.clip(x, -1.0, 1.0)
+        return _answer(self._arrays, obs)
+
+    def controller(self) -> Callable[[Mapping[str, Array]], Float[Array, "w a"]]:
+        """The policy as a controller of a task: from its observations to actions.
+
+        Its arrays are a pytree's leaves, so that what is compiled for one policy serves others of
+        the same sizes.
+        """
+        return Partial(_act, self._arrays)
+
+    @property
+    def _arrays(self) -> _Arrays:
+        return self.mean, self.std, self.weights, self.biases
+
+
+def _answer(arrays: _Arrays, obs: Float[Array, "*b d"]) -> Float[Array, "*b a"]:
+    mean, std, weights, biases = arrays
+    x = (obs - mean) / std
+    for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
+        x = x @ w + b
+        if i < len(weights) - 1:
+            x = linen.elu(x)
+    return jnp.clip(x, -1.0, 1.0)
+
+
+def _act(arrays: _Arrays, obs: Mapping[str, Array]) -> Float[Array, "w a"]:
+    return _answer(arrays, obs["state"])
 
 
 def policy_from_training(

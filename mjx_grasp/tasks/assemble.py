@@ -30,9 +30,12 @@ TaskConfig = ClosingTaskConfig
 """The tasks there are: the closing task, and what derives from its settings."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class World:
-    """A scene and the start states in it; tasks on either engine are made from it."""
+    """A scene and the start states in it; tasks on either engine are made from it.
+
+    It equals itself alone.
+    """
 
     scene: Scene
     starts: StartTable

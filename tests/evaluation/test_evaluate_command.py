@@ -11,6 +11,7 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import job as module
+from mjx_grasp.evaluation import run
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import chosen_states
@@ -156,3 +157,23 @@ def test_the_shipped_policy_is_evaluated_and_named():
         name: hashlib.sha256(path.read_bytes()).hexdigest()
         for name, path in (("policy", policy), ("handoffs", handoffs))
     }
+
+
+def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(monkeypatch):
+    """Another budget, friction or policy is not compiled again; another way to turn or grip is."""
+    own = module._loaded(EvaluateConfig(Path("x.json"), "policy", objects=("foam_brick",)))
+    tasks = []
+
+    def remembered(task, controller, draw, worlds):
+        tasks.append(task)
+        none, nothing = np.zeros(len(draw.row), bool), np.zeros(len(draw.row))
+        rest = *(none,) * 3, none.astype(int), *(nothing,) * 5
+        return run.Trials(np.asarray(draw.row), ~none, none, *rest)
+
+    monkeypatch.setattr(run, "run_trials", remembered)
+    changes = {}, {"force_budget": 8.0}, {"friction": 0.5}, {"offset_mm": 9.0}, {"angle_deg": 3.0}
+    for change in changes:
+        config = replace(own.config, **change)
+        run.evaluate(own.world, own.names, config, own.policy, own.states.reached, Console())
+    assert len(tasks) == 5
+    assert len({id(task) for task in tasks[:4]}) == 1 and tasks[4] is not tasks[0]

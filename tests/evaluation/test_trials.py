@@ -1,8 +1,12 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
+import mjx_grasp.evaluation.trials as module
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
     incidents,
@@ -68,6 +72,21 @@ def test_controller_decides_the_actions_from_the_observations(task, starts):
     still, pushed = (run_trials(task, c, draw, 2) for c in (zero_controller(task), push))
     np.testing.assert_array_equal(still.row, pushed.row)
     assert (np.abs(still.reward - pushed.reward) > 1e-3).all()
+
+
+def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, starts):
+    draw = paired_draws(starts, 0, 2, NOISE, seed=1)
+
+    def push(sign, obs):
+        return jnp.broadcast_to(sign * jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15))
+
+    told = [run_trials(task, Partial(push, jnp.float32(x)), draw, 2) for x in (0.0, 1.0)]
+    assert module._compiled(task, push)._cache_size() == 1
+    alone = [run_trials(task, partial(push, x), draw, 2) for x in (0.0, 1.0)]
+    for one, other in zip(told, alone, strict=True):
+        for name, a, b in zip(one._fields, one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
+    assert (np.abs(told[0].reward - told[1].reward) > 1e-3).all()
 
 
 def test_recorded_trials_are_the_same_trials(task, starts):

@@ -94,19 +94,25 @@ def test_distances_by_kind_are_those_of_mujoco(body, exact):
 
 
 def test_every_row_asks_for_its_own_kind(body):
-    motion = body.kinematics.motion(jnp.asarray(body.home))
     for balls in ((), BALLS):
-        near, safe = proximities(body, motion, around(balls), ASKED)
+        names = []
+
+        def asked_at(q, balls=balls, names=names):
+            near, safe = proximities(body, body.kinematics.motion(q), around(balls), ASKED)
+            names[:] = near  # in their order, which compiled dictionaries lose
+            return [rows.distance for rows in near.values()], safe
+
+        distances, safe = jax.jit(asked_at)(jnp.asarray(body.home))
         assert len(safe) == row_count(body, len(balls))
-        assert list(near) == [
+        assert names == [
             "object",
             *(["obstacles"] if balls else []),
             "table",
             "fingers",
             "arm",
         ]
-        ends = np.cumsum([len(rows.distance) for rows in near.values()])
-        asked = dict(zip(near, np.split(np.asarray(safe), ends[:-1]), strict=True))
+        ends = np.cumsum([len(distance) for distance in distances])
+        asked = dict(zip(names, np.split(np.asarray(safe), ends[:-1]), strict=True))
         wanted = {"object": {0.01}, "obstacles": {0.02}, "table": {0.03, 0.04}, "fingers": {0.05}}
         for kind, values in (wanted | {"arm": {0.06}}).items():
             if kind in asked:

@@ -18,11 +18,11 @@ def library(body):
 
 
 def off(body, q, approach):
-    return np.asarray(jax.vmap(lambda q: deviation(body, q, approach))(q))
+    return np.asarray(jax.jit(jax.vmap(lambda q: deviation(body, q, approach)))(q))
 
 
 def axes(body, q):
-    mat = jax.vmap(lambda q: body.kinematics.motion(q).mat[PALM])(q)
+    mat = jax.jit(jax.vmap(lambda q: body.kinematics.motion(q).mat[PALM]))(q)
     return np.asarray(mat @ body.approach_axis)
 
 
@@ -48,7 +48,7 @@ def test_a_library_keeps_what_comes_from_there(body, library, approach):
     kept = approaching(body, library, approach, 0.6)
     assert 0 < len(kept.q) < len(library.q)
     assert (np.asarray(off(body, kept.q, approach)) <= 0.6 + 1e-3).all()
-    tips = jax.vmap(lambda q: body.kinematics.motion(q).pos[:FINGERS])(kept.q)
+    tips = jax.jit(jax.vmap(lambda q: body.kinematics.motion(q).pos[:FINGERS]))(kept.q)
     np.testing.assert_allclose(kept.tips, tips, atol=1e-5)
 
 

@@ -20,6 +20,9 @@ from mjx_grasp.tasks.task import Observations, Task, TaskState
 Controller = Callable[[Observations], Float[Array, "w a"]]
 """Observations in, actions out."""
 
+Told = tuple[tuple[Any, ...], dict[str, Any]]
+"""Arguments and named arguments of a controller, before the observations."""
+
 Column = Array | np.ndarray
 """On the device while trials run, on the host once they are done."""
 
@@ -85,9 +88,10 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
         worlds: Worlds per batch; an MJX engine's own number.
     """
     known: Any = task  # mypy does not know that a task has a hash
-    act, told = controller, ()
+    act: Callable = controller
+    told: Told = (), {}
     if isinstance(controller, Partial):
-        act, told = controller.func, controller.args
+        act, told = controller.func, (controller.args, controller.keywords)
     count, batch = len(draw.row), _compiled(known, act)
     parts = []
     for first in range(0, count, worlds):
@@ -98,16 +102,18 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
 
 
 @functools.lru_cache(maxsize=1)
-def _compiled(task: Task, act: Callable) -> Callable[[tuple, StartDraw], Trials]:
+def _compiled(task: Task, act: Callable) -> Callable[[Told, StartDraw], Trials]:
     """Episodes of a task; what is asked for again, for another object or policy, is compiled once.
 
     Args:
         task: On an engine.
-        act: The controller, whose first arguments are those that the compiled function is given.
+        act: The controller, before the arguments that the compiled function is given for it.
     """
 
-    def episodes(told: tuple, draw: StartDraw) -> Trials:
-        return _episode(task, functools.partial(act, *told), draw, lambda state: ())[0]
+    def episodes(told: Told, draw: StartDraw) -> Trials:
+        args, keywords = told
+        controller = functools.partial(act, *args, **keywords)
+        return _episode(task, controller, draw, lambda state: ())[0]
 
     return jax.jit(episodes)
 

@@ -77,12 +77,15 @@ def test_controller_decides_the_actions_from_the_observations(task, starts):
 def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, starts):
     draw = paired_draws(starts, 0, 2, NOISE, seed=1)
 
-    def push(sign, obs):
-        return jnp.broadcast_to(sign * jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15))
+    def push(sign, obs, half):
+        return half * jnp.broadcast_to(
+            sign * jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15)
+        )
 
-    told = [run_trials(task, Partial(push, jnp.float32(x)), draw, 2) for x in (0.0, 1.0)]
+    half = jnp.float32(0.5)
+    told = [run_trials(task, Partial(push, jnp.float32(x), half=half), draw, 2) for x in (0.0, 1.0)]
     assert module._compiled(task, push)._cache_size() == 1
-    alone = [run_trials(task, partial(push, x), draw, 2) for x in (0.0, 1.0)]
+    alone = [run_trials(task, partial(push, x, half=0.5), draw, 2) for x in (0.0, 1.0)]
     for one, other in zip(told, alone, strict=True):
         for name, a, b in zip(one._fields, one, other, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)

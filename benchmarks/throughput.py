@@ -12,7 +12,7 @@ For each number of worlds it times, on the same device in the same process:
 and, on a GPU, where MuJoCo Warp's own time goes, by its event trace.
 
 All loops but the last two go through the same states: those of one rollout of a running training
-after `--warm-up` iterations, with its commands and resets. `warp` and `mjx` are given each tick's
+when `ppo` has been timed, with its commands and resets. `warp` and `mjx` are given each tick's
 anew, `task` the rollout's actions. `ppo` and `sharded` are trainings, one after the other. Scene,
 task and PPO are those of a preset of `mjx_grasp.train`.
 Medians of `--repeats` runs; compilation is timed apart.

@@ -61,8 +61,8 @@ WITHIN_BUDGET = (
 )
 BY_OBJECT = (
     "The same two shares for each object, the policy at the best of its settings for it: what is "
-    "missing within a budget is mostly of the objects whose weight alone asks for nearly as much "
-    "(next table)."
+    "missing within a budget is mostly of the objects whose weight alone asks for as much, or "
+    "nearly (next table)."
 )
 ON_WALLS = (
     "What the weight alone asks of three contacts on upright walls that share it: a contact that "
@@ -80,9 +80,10 @@ _ONE_STATE = (
     "The first three begin at one state of a training and hold its commands, without resets, so "
     "that they step fewer contacts than the training does."
 )
+_IN_TURN = ", in turn with the other"
 _TURNS = (
     " The training and the one over a mesh took turns, iteration by iteration, which slows both: "
-    "they can be compared with each other, and not with the loops below them."
+    "they can be compared with each other, and not with the other loops."
 )
 _ROLLOUT = "All but PPO go through the states of one rollout of a training."
 _GRAVITY = 9.81  # m/s²
@@ -232,13 +233,14 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     rows = []
     for file in files:
         unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
+        turns = file.extra.get("turns", False)
         for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
             whole = row.loop.startswith("ppo")
             ticks = f" × {unroll[row.worlds]}" if whole and unroll else ""
             rows.append(
                 (
                     str(file.provenance["device"]),
-                    _loop_name(row),
+                    _loop_name(row) + (_IN_TURN if whole and turns else ""),
                     f"{row.objects}",
                     f"{row.worlds:,}{ticks}",
                     f"{row.control_steps_per_s:,.0f}",

@@ -2,8 +2,8 @@
 
 Each run is one command, and the first of them the preset itself:
 
-  python -m mjx_grasp.train --preset gpu --ppo.iterations 240 --out runs/reference
-  python -m mjx_grasp.train --preset gpu --ppo.iterations 240 --task.reward.held 0 --out runs/unheld
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --out runs/reference
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --task.reward.held 0 --out runs/unheld
   python experiments/policy_ablation.py runs/reference runs/unheld
 
 lifts with their policies in native MuJoCo from states of the training set, so that what is chosen

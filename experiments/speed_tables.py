@@ -193,33 +193,33 @@ def devices(paths: Sequence[Path]) -> str:
     return markdown(Table("Several GPUs", header, tuple(rows), names=3)) if rows else NOTHING
 
 
-def tuned(paths: Sequence[Path], devices: Sequence[Path] = ()) -> str:
+def tuned(paths: Sequence[Path], alone_files: Sequence[Path] = ()) -> str:
     """Trainings that shared machines: how long each of them took, and all together.
 
     Args:
         paths: Tables of `tune`.
-        devices: Files of trainings alone on one GPU. Where one of them is of the same worlds and
+        alone_files: Trainings alone on one GPU. Where one of them is of the same worlds and
             iterations, that many of it one after the other are the comparison.
     """
     rows, alone = [], {}
-    for d in (read_json(path, "a results file") for path in devices):
+    for d in (read_json(path, "a results file") for path in alone_files):
         for r in d["rows"]:
             if r["devices"] == 1 and r["outcome"] == "finished":
                 alone[d["provenance"]["device"], r["worlds"], r["iterations"]] = r["seconds"]
     for path in paths:
         d = read_json(path, "a results file")
         success = [r["trained_percent"] for r in d["rows"]]
-        took, gpus, flags = (
-            d.get("took_s"),
-            d["settings"]["gpus"],
-            d.get("plan", {}).get("flags", {}),
-        )
+        took, gpus = d.get("took_s"), d["settings"]["gpus"]
+        names = list(dict.fromkeys(r["setting"] for r in d["rows"]))
+        plan = d.get("plan", {})
+        flags = plan.get("flags", {}) | (plan.get("settings", {}).get(names[0]) or {})
+        size = flags.get("ppo.worlds"), flags.get("ppo.iterations")
         device = d["provenance"]["device"]
-        one = alone.get((device, flags.get("ppo.worlds"), flags.get("ppo.iterations")))
+        one = alone.get((device, *size)) if len(names) == 1 else None
         rows.append(
             (
                 device,
-                ", ".join(dict.fromkeys(r["setting"] for r in d["rows"])),
+                ", ".join(names) + (", {:,} worlds × {:,}".format(*size) if all(size) else ""),
                 str(len(success)),
                 f"{d['settings']['cpus']:g}",
                 f"{gpus:g}" if gpus else "",

@@ -545,7 +545,7 @@ def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):
     plan = {"flags": {"ppo.worlds": 512, "ppo.iterations": 9}}
     path.write_text(json.dumps(record | {"plan": plan}))
     _, _, row = make_readme.speed_tables.tuned([path], [devices]).splitlines()
-    assert values(row)[6:8] == ["42", "75"]
+    assert values(row)[1] == "cpu, 512 worlds × 9" and values(row)[6:8] == ["42", "75"]
 
 
 def values(line):

@@ -150,7 +150,7 @@ def budget_table(groups: Groups) -> Table:
 
 
 def object_budget_table(groups: Groups) -> Table:
-    """The same object by object, of the policy alone: which of them ask for more than the budget.
+    """The same object by object, of policies: which of them ask for more than the budget.
 
     Of a policy with several settings it is the best setting's for each object and budget.
     """
@@ -169,9 +169,8 @@ def object_budget_table(groups: Groups) -> Table:
     header = ["condition", "object"]
     for budget in _OBJECT_BUDGETS_N:
         header += [f"{budget:g} N: policy", f"{budget:g} N: best of each trial"]
-    return Table(
-        "Lifted within 3 and 4 N, object by object, %", tuple(header), tuple(rows), names=2
-    )
+    title = "Lifted within a budget, object by object, %"
+    return Table(title, tuple(header), tuple(rows), names=2)
 
 
 def headline(groups: Groups) -> list[str]:

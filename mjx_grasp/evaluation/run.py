@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Shaped
@@ -31,7 +32,7 @@ from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, World
-from mjx_grasp.tasks.config import StartNoise
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, StartNoise
 from mjx_grasp.tasks.success import FAILURES
 from mjx_grasp.tasks.task import Task
 
@@ -77,9 +78,10 @@ def evaluate(
     """
     task = policy_task(policy) if policy else model_based(task or TaskConfig(), config)
     worlds = min(config.worlds, config.episodes)
-    # The trials are drawn here: a task knows of the noise only what it is reminded of at each tick.
-    felt = StartNoise(angle_rad=config.noise.angle_rad, robot=config.noise.robot)
-    run = _task(world, config.engine, worlds, task, felt)
+    # Trials are drawn below. A task itself uses the robot's errors, and whether objects are turned.
+    turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0
+    felt = StartNoise(angle_rad=turned, robot=config.noise.robot)
+    run: Any = _task(world, config.engine, worlds, task, felt)  # mypy knows of no hash
     controller = policy.controller() if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:

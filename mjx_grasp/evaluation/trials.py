@@ -52,7 +52,8 @@ class Trials(NamedTuple):
     """Sum of rewards."""
 
 
-def zero_controller(task: Task) -> Controller:
+@functools.lru_cache(maxsize=1)  # the same of the same task, so that it is compiled once
+def zero_controller(task: Any) -> Controller:
     """The task's own command alone: in the closing task the squeeze, with its `grip.force`."""
     return lambda obs: jnp.zeros((obs["state"].shape[0], task.action_size))
 
@@ -83,7 +84,8 @@ def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int)
     Args:
         task: On an engine.
         controller: The controller. Of two `jax.tree_util.Partial` of the same function, one after
-            the other on the same task, the second is not compiled again.
+            the other on the same task, the second is not compiled again; their arguments are
+            arrays.
         draw: Starts.
         worlds: Worlds per batch; an MJX engine's own number.
     """

@@ -84,7 +84,7 @@ def load_catalogue() -> dict[str, ObjectInfo]:
     return dict(_catalogue(path, path.read_bytes()))
 
 
-@lru_cache(maxsize=4)  # commands ask a score of times, and parsing takes a tenth of a second
+@lru_cache(maxsize=4)  # commands ask many times, and parsing is slow
 def _catalogue(path: Path, content: bytes) -> dict[str, ObjectInfo]:
     try:
         entries = [_entry(e) for e in yaml.safe_load(content)["objects"]]

@@ -160,20 +160,30 @@ def test_the_shipped_policy_is_evaluated_and_named():
 
 
 def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(monkeypatch):
-    """Another budget, friction or policy is not compiled again; another way to turn or grip is."""
+    """Another budget, friction, place or policy is the same task and function; turning is not."""
     own = module._loaded(EvaluateConfig(Path("x.json"), "policy", objects=("foam_brick",)))
-    tasks = []
+    tasks, acts = [], []
 
     def remembered(task, controller, draw, worlds):
         tasks.append(task)
+        acts.append(getattr(controller, "func", controller))
         none, nothing = np.zeros(len(draw.row), bool), np.zeros(len(draw.row))
         rest = *(none,) * 3, none.astype(int), *(nothing,) * 5
         return run.Trials(np.asarray(draw.row), ~none, none, *rest)
 
     monkeypatch.setattr(run, "run_trials", remembered)
-    changes = {}, {"force_budget": 8.0}, {"friction": 0.5}, {"offset_mm": 9.0}, {"angle_deg": 3.0}
-    for change in changes:
-        config = replace(own.config, **change)
-        run.evaluate(own.world, own.names, config, own.policy, own.states.reached, Console())
-    assert len(tasks) == 5
-    assert len({id(task) for task in tasks[:4]}) == 1 and tasks[4] is not tasks[0]
+
+    def evaluated(*changes, config, policy):
+        tasks.clear(), acts.clear()
+        for change in changes:
+            new = replace(config, **change)
+            run.evaluate(own.world, own.names, new, policy, own.states.reached, Console())
+        return len({id(task) for task in tasks}), len({id(act) for act in acts})
+
+    draws = {}, {"friction": 0.5}, {"offset_mm": 9.0}
+    budgets, turned = {"force_budget": 8.0}, ({"angle_deg": 3.0}, {"angle_deg": 6.0})
+    assert evaluated(*draws, budgets, config=own.config, policy=own.policy) == (1, 1)
+    assert evaluated({}, *turned, config=own.config, policy=own.policy) == (2, 1)
+    squeeze = replace(own.config, controller="squeeze")
+    assert evaluated(*draws, *turned[:1], config=squeeze, policy=None) == (2, 2)
+    assert evaluated({}, {"squeeze_force": 1.0}, config=squeeze, policy=None)[0] == 2

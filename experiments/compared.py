@@ -120,8 +120,7 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
 
-    def act(obs: dict[str, Any]) -> Any:
-        return policy(obs["state"])
+    act = policy.controller()
 
     def gripping(grip: GripConfig) -> Contestant:
         return Contestant(replace(TaskConfig(), grip=grip), None, grip.force)

@@ -189,7 +189,7 @@ def main(config: StabilityConfig) -> None:
                 start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
                 run = world.task("mujoco", config.trials, task, noise, with_privileged=False)
                 knows = name.startswith("policy")
-                act = (lambda obs: policy(obs["state"])) if knows else zero_controller(run)
+                act = policy.controller() if knows else zero_controller(run)
                 trials, ticks = watch_trials(run, act, start, seen)
                 curves = curves_of(ticks, scene.objects[0], run.control_dt)
                 drawn.setdefault(name, curves)

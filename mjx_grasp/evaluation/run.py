@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Shaped
@@ -81,7 +80,7 @@ def evaluate(
     # Trials are drawn below. A task itself uses the robot's errors, and whether objects are turned.
     turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0
     felt = StartNoise(angle_rad=turned, robot=config.noise.robot)
-    run: Any = _task(world, config.engine, worlds, task, felt)  # mypy knows of no hash
+    run = _task(world, config.engine, worlds, task, felt)
     controller = policy.controller() if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:

@@ -364,7 +364,7 @@ def main(config: BenchmarkConfig) -> None:
         print(json.dumps(details[-1], indent=1), flush=True)
         rows, made = throughput_rows(details), provenance(config.seed)
         robot = load_robot().identity
-        write_results(config.out, rows, made, robot, states="rollout", details=details)
+        write_results(config.out, rows, made, robot, details=details)
 
 
 if __name__ == "__main__":

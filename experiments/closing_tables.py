@@ -73,19 +73,9 @@ ON_WALLS = (
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
     "a CUDA graph), the same called from JAX, the task around it, the policy's actions, PPO's "
-    "updates. {states} Then parts of one physics step, and the "
-    "speed of the whole loop as a share of MuJoCo Warp's:"
+    "updates. All but PPO go through the states of one rollout of a training. Then parts of one "
+    "physics step, and the speed of the whole loop as a share of MuJoCo Warp's:"
 )
-_ONE_STATE = (
-    "The first three begin at one state of a training and hold its commands, without resets, so "
-    "that they step fewer contacts than the training does."
-)
-_IN_TURN = ", in turn with the other"
-_TURNS = (
-    " The training and the one over a mesh took turns, iteration by iteration, which slows both: "
-    "they can be compared with each other, and not with the other loops."
-)
-_ROLLOUT = "All but PPO go through the states of one rollout of a training."
 _GRAVITY = 9.81  # m/s²
 _WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
@@ -222,9 +212,7 @@ def throughput(paths: Sequence[Path]) -> str:
     for file in files:
         apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
         if apart:
-            states = _ROLLOUT if file.extra.get("states") == "rollout" else _ONE_STATE
-            states += _TURNS if (turns := file.extra.get("turns", False)) else ""
-            parts += [LAYERS.format(states=states), markdown(_layers(apart, turns))]
+            parts += [LAYERS, markdown(_layers(apart))]
     return "\n\n".join(parts)
 
 
@@ -233,14 +221,13 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
     rows = []
     for file in files:
         unroll = {d["worlds"]: d["unroll"] for d in file.extra.get("details", ())}
-        turns = file.extra.get("turns", False)
         for row in sorted(file.rows, key=lambda r: (r.loop, r.engine, r.worlds)):
             whole = row.loop.startswith("ppo")
             ticks = f" × {unroll[row.worlds]}" if whole and unroll else ""
             rows.append(
                 (
                     str(file.provenance["device"]),
-                    _loop_name(row) + (_IN_TURN if whole and turns else ""),
+                    _loop_name(row),
                     f"{row.objects}",
                     f"{row.worlds:,}{ticks}",
                     f"{row.control_steps_per_s:,.0f}",
@@ -260,23 +247,15 @@ def _loop_name(row: ThroughputRow) -> str:
     return f"{loop}, {_ENGINES[row.engine]}"
 
 
-def _layers(details: Sequence[dict[str, Any]], turns: bool) -> Table:
-    """Milliseconds per control tick of each loop, and of a physics step's parts.
-
-    Args:
-        details: Of every number of worlds.
-        turns: Whether PPO's loop was slowed by another that took turns with it.
-    """
+def _layers(details: Sequence[dict[str, Any]]) -> Table:
+    """Milliseconds per control tick of each loop, and of a physics step's parts."""
     rows = []
     for d in details:
         tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
-        tick, share = (
-            (tick | {"ppo": math.nan}, math.nan) if turns else (tick, d["ratio_ppo_to_warp"])
-        )
         loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
         parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
-        times = ("" if math.isnan(x) else f"{x:.2f}" for x in (*loops, *parts, share))
-        rows.append((f"{d['worlds']:,}", *times))
+        times = (f"{ms:.2f}" for ms in (*loops, *parts))
+        rows.append((f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
     header = ("worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO", *_STEP_PARTS)
     return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
 

@@ -195,8 +195,10 @@ def ablation(path: Path) -> str:
         words = ", ".join(f"`{name}` {_said(value)}" for name, value in _differs(row).items())
         lines.append((words or "preset", str(row["seed"]), *(cells[key] for key in asked)))
     header = ("differs in", "seed", *(f"{name}, {budget:g} N" for name, budget in asked))
-    steps, trials = 1e-6 * rows[0]["env_steps"], rows[0]["evaluations"][0]["trials"]
-    said = _ABLATION.format(steps=steps, trials=trials)
+    lengths = sorted({row["env_steps"] for row in rows})
+    if len(lengths) > 1:
+        raise FileError(path, f"trainings of {lengths} steps", "runs of the same length")
+    said = _ABLATION.format(steps=1e-6 * lengths[0], trials=rows[0]["evaluations"][0]["trials"])
     return f"{said}\n\n{markdown(Table('Ablation', header, tuple(lines), names=1))}"
 
 

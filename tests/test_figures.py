@@ -66,9 +66,11 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     sums = {"trials": 8, "success_percent": 87.5, "force_mean_n": 2.0, "within_3n_percent": 75.0}
     sums |= {"condition": "hard", "budget_n": 1.5}
     rows = [
-        {"run": "b", "seed": 0, "env_steps": 15_728_640, "changes": unheld, "evaluations": [sums]},
+        {"run": "b", "seed": 0, "changes": unheld, "evaluations": [sums]},
         {"run": "a", "seed": 1, "changes": {"ppo.iterations": 240}, "evaluations": [sums]},
     ]
+    for each in rows:
+        each["env_steps"] = 15_728_640
     path = tmp_path / "ablation.json"
     path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
     text = script("policy_tables").ablation(path)
@@ -76,6 +78,10 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     assert first == "| preset | 1 | 87.5 at 2.0 / 75.0 |"
     assert second == "| `task.reward.held` 0 | 0 | 87.5 at 2.0 / 75.0 |"
     assert "| differs in | seed | hard, 1.5 N |" in text and "with 15.7 M steps" in text
+    rows[0]["env_steps"] = 1
+    path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
+    with pytest.raises(FileError, match="runs of the same length"):
+        script("policy_tables").ablation(path)
 
 
 def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):

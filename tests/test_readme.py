@@ -198,23 +198,18 @@ def test_throughput_is_sorted_by_worlds():
     assert {r[0] for r in table.rows} == {"a card"}
 
 
-def test_layers_say_which_states_they_step(tmp_path):
-    """Those of a rollout are given, or all go on from one: the tables cannot be compared."""
-    row, said = ThroughputRow("ppo", "mjx", 8, 1, 50.0, None), {}
-    layers = dict.fromkeys(("warp", "mjx", "task", "rollout", "ppo"), 2.0)
-    detail = {"worlds": 8, "unroll": 4, "ratio_ppo_to_warp": 0.5, "ms_per_control_tick": layers}
-    detail |= {"warp_step_trace_ms": {"step": 1.0}}
-    rollout = {"states": "rollout"}
-    for name, states in (("old", {}), ("new", rollout), ("slowed", rollout | {"turns": True})):
-        path = tmp_path / f"{name}.json"
-        write_results(path, [row], PROVENANCE, FIRST_ROBOT, details=[detail], **states)
-        said[name] = make_readme.closing_tables.throughput([path])
-    assert "hold its commands" in said["old"] and "of one rollout" not in said["old"]
-    assert "of one rollout" in said["new"] and "hold its commands" not in said["new"]
-    assert "| 8 | 2.00 | 2.00 | 2.00 | 2.00 | 2.00 | 1.00 |" in said["new"]
-    assert "| 0.50 |" in said["new"] and "took turns" not in said["new"]
-    assert "| 8 | 2.00 | 2.00 | 2.00 | 2.00 |  | 1.00 |" in said["slowed"]
-    assert "| 0.50 |" not in said["slowed"] and "took turns" in said["slowed"]
+def test_a_mesh_of_one_device_stands_beside_the_training_and_loops_have_their_times(tmp_path):
+    rows = [ThroughputRow(loop, "mjx", 8, 1, 50.0, None) for loop in ("ppo", "ppo_sharded")]
+    names = ("warp", "mjx", "task", "rollout", "ppo")
+    ticks = dict(zip(names, (1.0, 2.0, 3.0, 4.0, 5.0), strict=True))
+    detail = {"worlds": 8, "unroll": 4, "ratio_ppo_to_warp": 0.2, "ms_per_control_tick": ticks}
+    detail |= {"warp_step_trace_ms": {"step": 6.0}}
+    path = tmp_path / "loops.json"
+    write_results(path, rows, PROVENANCE, FIRST_ROBOT, details=[detail])
+    said = make_readme.closing_tables.throughput([path])
+    assert "| a card | ppo, MJX | 1 | 8 × 4 | 50 |" in said
+    assert "| a card | ppo over a mesh of one device, MJX | 1 | 8 × 4 | 50 |" in said
+    assert "| 8 | 1.00 | 2.00 | 3.00 | 4.00 | 5.00 | 6.00 |" in said and "| 0.20 |" in said
 
 
 def test_policies_stand_beside_the_squeeze_of_the_same_force(root):

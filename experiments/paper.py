@@ -166,7 +166,10 @@ PARTS = (
         "scenarios",
         "whole grasps from home, with what the hardware demonstrations show",
         (
-            "-m mjx_grasp.scenarios --objects-dir SCANS --episodes 6 --seed 9 "
+            "-m mjx_grasp.scenarios --objects-dir SCANS --objects train held_out "
+            "--scenarios nominal --episodes 64 --seed 9 "
+            "--processes CORES --out experiments/results/grasps_all.json",
+            "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
             "--processes CORES --out experiments/results/scenarios.json",
         ),
     ),

@@ -6,8 +6,8 @@ of it, or takes the published one instead, and has the same poses and draws. The
 setting by which it would choose once only: while a plan is followed its candidate stays the best,
 and without plans, in `paper-reaching`, it is the published selection of every tick.
 
-A variant under a scenario that is in the file already, of the same settings, files and revision of
-the code, is left alone, so that an interrupted run goes on; `--processes N` runs N of them at once.
+What is in the file already, of the same settings, files and revision of the code, is left alone, so
+that an interrupted run goes on; `--processes N` shares the blocks of trials.
 
   python experiments/pipeline_ablation.py --objects-dir SCANS
 """
@@ -31,9 +31,9 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, CloserConfig, GripConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.grasps.blocks import Begun, Block, BlockResult
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
-from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
@@ -199,23 +199,16 @@ def about(variant: Variant, scenario: Scenario, objects: Sequence[ObjectModel]) 
     return {"changes": changes, "settings": to_record(scenario), "meshes": meshes}
 
 
-def trials(rows: Sequence[GraspRow]) -> dict[str, Any]:
-    """What is kept of the trials of a variant under a scenario."""
-    record = as_record(rows)
-    record["rows"] = [{name: row[name] for name in _KEPT} for row in record["rows"]]
-    return record
-
-
 def kept(
     path: Path, header: dict[str, Any], made: dict[str, Any], console: Console
-) -> dict[str, dict[str, Any]]:
-    """Results that a run with the same settings, files and revision has left.
+) -> tuple[dict[str, dict[str, Any]], Begun]:
+    """What a run with the same settings, files and revision has finished, and what it has begun.
 
     Raises:
         FileError: The file is another one's.
     """
     if not path.exists():
-        return {}
+        return {}, Begun()
     before = read_json(path, "results of this script")
     if before.get("schema") != SCHEMA:
         raise FileError(path, f"schema {before.get('schema')!r}", f"none, or {SCHEMA}")
@@ -224,8 +217,8 @@ def kept(
     same = same and before["provenance"]["git"] == made["git"] and "dirty" not in made["git"]
     if not same:
         console.print(f"{path}: of other settings, files or code; begun anew")
-        return {}
-    return before["results"]
+        return {}, Begun()
+    return before["results"], Begun(before.get("begun"))
 
 
 class Systems:
@@ -262,12 +255,12 @@ class Systems:
             raise InputError("--scenarios", scenario.approach, free)
         self.makers.objects(scenario)
 
-    def run(self, job: tuple[str, Scenario]) -> dict[str, Any]:
-        """A variant's trials under a scenario, and how long they took."""
-        name, scenario = job
+    def run(self, job: tuple[str, Scenario, Block]) -> BlockResult:
+        """A block of a variant's trials under a scenario."""
+        name, scenario, block = job
         started = time.perf_counter()
-        rows = self.makers.run(scenario, self._make[self.of[name]], self._progress)
-        return {"seconds": round(time.perf_counter() - started, 1)} | trials(rows)
+        rows = self.makers.run(scenario, self._make[self.of[name]], block, self._progress)
+        return BlockResult(rows, time.perf_counter() - started)
 
 
 def main(config: PipelineAblationConfig) -> None:
@@ -287,7 +280,7 @@ def main(config: PipelineAblationConfig) -> None:
             systems.check(name, scenario)
         asked = {k: v for k, v in to_record(unspread(config)).items() if k not in _ASKED}
         header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=systems.file)}
-        results = kept(config.out, header, made, console)
+        results, begun = kept(config.out, header, made, console)
         by = {
             (name, at): about(VARIANTS[name], scenario, systems.makers.objects(scenario))
             for (name, at), scenario in given.items()
@@ -297,19 +290,28 @@ def main(config: PipelineAblationConfig) -> None:
             found = results.get(name, {}).get(at, {})
             return all(found.get(what) == value for what, value in by[name, at].items())
 
-        left = [pair for pair in given if not is_done(*pair)]
-        runs = bar.add_task("variants under scenarios", total=len(given))
-        bar.update(runs, completed=len(given) - len(left))
+        blocks = systems.makers.blocks()
+        left = [
+            (pair, block)
+            for pair in given
+            if not is_done(*pair)
+            for block in begun.left(", ".join(pair), by[pair], blocks)
+        ]
+        runs = bar.add_task("blocks of trials", total=len(given) * len(blocks))
+        bar.update(runs, completed=len(given) * len(blocks) - len(left))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
-        jobs = [(name, given[name, at]) for name, at in left]
-        names = [", ".join(pair) for pair in left]
+        jobs = [(pair[0], given[pair], block) for pair, block in left]
+        names = [", ".join(pair) for pair, _ in left]
         bar.update(one, description=names[0] if names else "")
         for k, found in enumerate(spread(config, Systems.run, jobs, setup)):
-            name, at = left[k]
-            results.setdefault(name, {})[at] = by[name, at] | found
+            (name, at), block = left[k]
+            if whole := begun.add(names[k], by[name, at], blocks, block, found):
+                whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
+                results.setdefault(name, {})[at] = whole
             ordered = {name: results[name] for name in VARIANTS if name in results}
             says = {name: VARIANTS[name].says for name in ordered}
             content = header | {"variants": says, "results": ordered, "provenance": made}
+            content |= {"begun": begun.record} if begun.record else {}
             write_json(config.out, content)
             bar.update(runs, advance=1)
             bar.reset(one, description=names[min(k + 1, len(names) - 1)])

@@ -117,10 +117,10 @@ def quick(ablation, tmp_path, monkeypatch):
     ran, made = [], {"git": "abc", "command": "python", "seed": 0}
     after = SimpleNamespace(runs=None)
 
-    def counted(self, scenario, make, progress):
+    def counted(self, scenario, make, block, progress):
         if len(ran) == after.runs:
             raise KeyboardInterrupt
-        ran.append((scenario.description, scenario.told, scenario.weighed, make))
+        ran.append((scenario.description, scenario.told, scenario.weighed, make, block))
         progress(0.5)
         return [row(), row("slipped")]
 
@@ -160,6 +160,21 @@ def test_it_goes_on_where_it_stopped(quick):
     quick.main(quick.config)
     assert len(quick.ran) == 6
     assert "weight-unknown" in json.loads(quick.config.out.read_text())["results"]
+
+
+def test_a_variant_that_was_cut_short_loses_no_block_of_trials(quick):
+    config = replace(quick.config, episodes=3 * 64, variants=("full",), scenarios=("nominal",))
+    quick.after.runs = 2
+    with pytest.raises(KeyboardInterrupt):
+        quick.main(config)
+    left = json.loads(config.out.read_text())
+    assert left["results"] == {} and len(left["begun"]["full, nominal"]["blocks"]) == 2
+    quick.after.runs = None
+    quick.main(config)
+    assert [ran[-1].number for ran in quick.ran] == [0, 1, 2]
+    assert len({ran[-1].seed for ran in quick.ran}) == 3
+    found = json.loads(config.out.read_text())
+    assert "begun" not in found and len(found["results"]["full"]["nominal"]["rows"]) == 6
 
 
 @pytest.mark.parametrize("other", ["episodes", "revision", "uncommitted", "policy", "scenario"])

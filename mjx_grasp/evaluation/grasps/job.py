@@ -13,9 +13,9 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.grasps.blocks import Begun, Block, BlockResult
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
-from mjx_grasp.evaluation.grasps.results import as_record
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.spread import spread, unspread
@@ -46,22 +46,22 @@ class _Grasps:
         self.makers = Makers(config, robot)
         self._config, self._progress = config, progress
 
-    def run(self, scenario: Scenario) -> dict[str, Any]:
-        """What came of a scenario."""
+    def run(self, job: tuple[Scenario, Block]) -> BlockResult:
+        """What came of a block of a scenario."""
+        scenario, block = job
         started = time.perf_counter()
-        rows = self.makers.run(scenario, self._make, self._progress)
-        seconds = round(time.perf_counter() - started, 1)
-        return {"settings": to_record(scenario), "seconds": seconds, **as_record(rows)}
+        rows = self.makers.run(scenario, self._make, block, self._progress)
+        return BlockResult(rows, time.perf_counter() - started)
 
     def _make(self, robot: RobotSpec, approach: Approach) -> Grasper:
         return loaded_grasper(robot, self.file, self._config.force_budget, approach=approach)
 
 
 def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
-    """Runs what is asked for and writes the file after each scenario.
+    """Runs what is asked for and writes the file after each block of trials.
 
     Args:
-        config: Scenarios, objects, controller, file, and who shares the scenarios.
+        config: Scenarios, objects, controller, file, and who shares the blocks.
         console: For progress.
 
     Returns:
@@ -73,43 +73,64 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     check_writable("--out", config.out)
     scenarios = load_scenarios(config.scenarios)
     made, settings = provenance(config.seed), to_record(unspread(config))
-    done = _finished(config.out, settings, made, console)
-    waiting = [name for name in scenarios if name not in done]
+    done, begun = _before(config.out, settings, made, console)
     with counting_progress(console) as bar:
         own = _Grasps(
-            config, lambda share: bar.update(jobs[waiting[0]], completed=round(_PERCENT * share))
+            config,
+            lambda share: bar.update(
+                bars[left[0][0]], completed=progress_of(left[0][0]) + _PERCENT * share
+            ),
         )
-        for name in waiting:
+        for name in scenarios:
             own.makers.objects(scenarios[name])  # refuses before anything long starts
-        jobs = {
-            name: bar.add_task(name, total=_PERCENT, completed=_PERCENT if name in done else 0)
+        blocks = own.makers.blocks()
+        about = {name: {"settings": to_record(scenario)} for name, scenario in scenarios.items()}
+        left = [
+            (name, block)
+            for name in scenarios
+            if name not in done
+            for block in begun.left(name, about[name], blocks)
+        ]
+
+        def progress_of(name: str) -> int:
+            waiting = sum(name == other for other, _ in left)
+            return _PERCENT * (len(blocks) - waiting)
+
+        bars = {
+            name: bar.add_task(name, total=_PERCENT * len(blocks), completed=progress_of(name))
             for name in scenarios
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
-        for found in spread(config, _Grasps.run, [scenarios[n] for n in waiting], setup):
-            name = waiting.pop(0)
-            done[name] = found
-            bar.update(jobs[name], completed=_PERCENT)
+        jobs = [(scenarios[name], block) for name, block in left]
+        for found in spread(config, _Grasps.run, jobs, setup):
+            name, block = left.pop(0)
+            if whole := begun.add(name, about[name], blocks, block, found):
+                done[name] = whole
+            bar.update(bars[name], completed=progress_of(name))
             content: dict[str, Any] = {"schema": SCHEMA, "config": settings, "scenarios": done}
+            content |= {"begun": begun.record} if begun.record else {}
             content |= {"sha256": file_digests(policy=own.file), "provenance": made}
             write_json(config.out, content)
     return {"config": settings, "scenarios": done}
 
 
-def _finished(
+def _before(
     path: Path, settings: dict[str, Any], made: dict[str, Any], console: Console
-) -> dict[str, Any]:
-    """Scenarios that a run with the same settings and revision has already finished."""
+) -> tuple[dict[str, Any], Begun]:
+    """What a run with the same settings and revision has finished, and what it has begun."""
     if not path.exists():
-        return {}
+        return {}, Begun()
     try:
         before = json.loads(path.read_text())
         same = before["config"] == settings
         # Changes that are not committed may be others than before.
         same = same and before["provenance"]["git"] == made["git"] and "dirty" not in made["git"]
-        found = before["scenarios"] if same and before["schema"] == SCHEMA else {}
+        same = same and before["schema"] == SCHEMA
+        found, begun = before["scenarios"], before.get("begun", {})
     except (OSError, ValueError, KeyError, TypeError):
         raise FileError(path, "no results of scenarios", "none, or such a file") from None
-    if found:
-        console.print(f"{path}: goes on after {', '.join(found)}")
-    return found
+    if not same:
+        return {}, Begun()
+    if found or begun:
+        console.print(f"{path}: goes on after {', '.join([*found, *begun])}")
+    return found, Begun(begun)

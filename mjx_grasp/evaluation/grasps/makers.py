@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from mjx_grasp.evaluation.grasps.blocks import Block, blocks_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
@@ -37,32 +38,42 @@ class Makers:
     _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
     _known: dict[Any, list[Known]] = field(default_factory=dict)
 
+    def blocks(self) -> list[Block]:
+        """All trials of a scenario, in blocks.
+
+        Raises:
+            InputError, FileError: The objects cannot be had.
+        """
+        config = self.config
+        return blocks_of(config.episodes, len(self.objects(Scenario())), config.seed)
+
     def run(
         self,
         scenario: Scenario,
         make: MakeGrasper,
+        block: Block,
         progress: Callable[[float], None] = lambda share: None,
     ) -> list[GraspRow]:
-        """All trials of a scenario; poses and draws are the same for every controller.
+        """A block of a scenario; its poses and draws are the same for every controller.
 
         Args:
             scenario: What happens.
             make: What makes the controller. The same one makes it once.
+            block: Which trials.
             progress: Told which share of the longest possible time is done.
 
         Raises:
             InputError: The objects cannot be had, or not be grasped.
         """
-        objects, config = self.objects(scenario), self.config
-        known = self.known(scenario)
+        objects, known = self.objects(scenario), self.known(scenario)
         grasper, library = self.grasper(make, scenario)
         # As many trials where a scenario names fewer objects: the compiled functions are shared.
-        trials = config.episodes * len(self.objects(Scenario())) // len(objects)
+        trials = block.episodes * len(self.objects(Scenario())) // len(objects)
         away = Away(home_tips(grasper), scenario.away) if scenario.away else None
-        problem = draw_problem(objects, trials, config.seed, away=away)
+        problem = draw_problem(objects, trials, block.seed, away=away)
         end, trace = grasp_all(
             grasper, library, self.world(scenario, grasper.dt), known_of(known, problem), problem,
-            scenario, config.seed, progress,
+            scenario, block.seed, progress,
         )  # fmt: skip
         names = [obj.name for obj in objects]
         return grasp_rows(names, problem, end, trace, grasper.dt, scenario.hold_s)

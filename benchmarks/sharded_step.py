@@ -1,14 +1,16 @@
 """A physics step of MJX on several devices, the smallest that shows whether XLA can compile it.
 
 With JAX 0.11.2, MuJoCo MJX 3.17.0 and Warp 1.18.0 it ends in a segmentation fault inside
-`backend_compile_and_load` where XLA partitions with Shardy, its default; with `--no-shardy` it says
-what it has computed, as it does with JAX 0.10.2. CPUs as devices show it; no GPU is needed. (On
-them the process may then hang or abort while it exits.) Trainings on several devices switch Shardy
-off for that reason (`mjx_grasp/learning/devices.py`).
+`backend_compile_and_load` where XLA partitions with Shardy, its default, on two H100s as on CPUs as
+devices; with `--no-shardy` it says what it has computed, as it does with JAX 0.10.2. (On CPUs the
+process may then hang or abort while it exits.) Trainings on several devices switch Shardy off for
+that reason (`mjx_grasp/learning/devices.py`).
 
 On GPUs it also shows which of MuJoCo Warp's ways to keep CUDA graphs bear several devices
-(`--graph`): of WARP_STAGED it is reported that it does not (MuJoCo issue 3191). Trainings use WARP,
-MJX's default.
+(`--graph`). On two H100s, without Shardy, NONE and WARP do. WARP_STAGED ends with "Failed to update
+graph memcpy batch: invalid argument" (MuJoCo issue 3191), and WARP_STAGED_EX, which is reported to
+work there, with "Failed to run input memcpy batch: invalid argument"; the other device then waits
+for ever. Trainings use WARP, MJX's default.
 
   XLA_FLAGS=--xla_force_host_platform_device_count=4 JAX_PLATFORMS=cpu \
     python -X faulthandler benchmarks/sharded_step.py

@@ -1,14 +1,18 @@
 """Tables for the READMEs: heatmaps, start states, whole grasps; and how a table is written.
 
-Each takes the path of one results file and gives Markdown; `make_readme.py` puts it in place.
+Each takes the path of a results file, or several, and gives Markdown; `make_readme.py` puts it in
+place.
 """
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
+from mjx_grasp.objects.catalogue import groups
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
@@ -149,12 +153,16 @@ def route(path: Path) -> str:
     )
 
 
-def whole_grasps(path: Path) -> str:
-    """Grasps from home while nothing happens, object by object."""
-    d = read(path)
-    if d is None or NOMINAL not in d["scenarios"]:
+def whole_grasps(paths: Sequence[Path]) -> str:
+    """Grasps from home while nothing happens, object by object.
+
+    Args:
+        paths: As of `scenarios`.
+    """
+    found = _of_most_trials(paths)
+    if NOMINAL not in found:
         return NOTHING
-    nominal = d["scenarios"][NOMINAL]
+    record, nominal = found[NOMINAL]
     lines = []
     for name, s in {**nominal["objects"], "all": nominal["all"]}.items():
         tips = " / ".join(_number(x) for x in s["tip_error_mm"])
@@ -163,7 +171,22 @@ def whole_grasps(path: Path) -> str:
         *("object", *_GRASP_COLUMNS),
         *("not reached", "lost", "tips mm"),
     )
-    return _closed_by(d) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+    return _closed_by(record) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
+
+
+def grasps_by_split(path: Path) -> str:
+    """Grasps from home of all objects, with means over those of training and those kept out."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    objects = d["scenarios"][NOMINAL]["objects"]
+    means = []
+    for split, said in (("train", "of training"), ("held_out", "kept out of it")):
+        of = [objects[name] for name in groups()[split] if name in objects]
+        success = statistics.mean(s["success_percent"] for s in of)
+        up = statistics.mean(100.0 * s["up_at_9s"] / s["trials"] for s in of)
+        means.append(f"over {len(of)} objects {said} {success:.1f} and {up:.1f} %")
+    return f"{whole_grasps([path])}\n\nLifted and held, and up after 9 s: {', '.join(means)}."
 
 
 def _closed_by(record: dict[str, Any]) -> str:
@@ -174,18 +197,29 @@ def _closed_by(record: dict[str, Any]) -> str:
     return f"Closed by the policy, with a force budget of {config['force_budget']:g} N:\n\n"
 
 
-def scenarios(path: Path) -> str:
-    """Grasps from home while this or that happens, over all objects."""
-    d = read(path)
-    if d is None:
-        return NOTHING
+def scenarios(paths: Sequence[Path]) -> str:
+    """Grasps from home while this or that happens, over all objects.
+
+    Args:
+        paths: Results files; a scenario that several have is taken from where it has most trials.
+    """
     lines = []
-    for name, result in d["scenarios"].items():
+    for name, (_, result) in _of_most_trials(paths).items():
         s = result["all"]
         what = f"{name.replace('_', ' ')}: {result['settings']['description']}"
         lines.append((what, *_grasp_cells(s), *_failure_cells(s), str(s["hit"])))
     header = ("scenario", *_GRASP_COLUMNS, "not reached", "lost", "hit")
-    return markdown(Table("Scenarios", header, tuple(lines)))
+    return markdown(Table("Scenarios", header, tuple(lines))) if lines else NOTHING
+
+
+def _of_most_trials(paths: Sequence[Path]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Of each scenario the file with most trials of it, and what that says of it."""
+    found: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
+    for d in filter(None, map(read, paths)):
+        for name, result in d["scenarios"].items():
+            if name not in found or found[name][1]["all"]["trials"] < result["all"]["trials"]:
+                found[name] = d, result
+    return found
 
 
 def foreign_meshes(path: Path) -> str:

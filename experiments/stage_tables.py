@@ -6,17 +6,19 @@ place.
 
 from __future__ import annotations
 
-import statistics
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.objects.catalogue import groups
+from mjx_grasp.pipeline.phases import Failure
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
 NOTHING = "_No results file yet._"
+_NO_WAY = Failure.NO_CANDIDATE.name.lower()
 
 
 def markdown(table: Table) -> str:
@@ -175,18 +177,32 @@ def whole_grasps(paths: Sequence[Path]) -> str:
 
 
 def grasps_by_split(path: Path) -> str:
-    """Grasps from home of all objects, with means over those of training and those kept out."""
+    """Grasps from home of all objects, with sums over those of training and those kept out.
+
+    Where the controller finds no way to an object it says so; these trials are told apart.
+    """
     d = read(path)
     if d is None:
         return NOTHING
-    objects = d["scenarios"][NOMINAL]["objects"]
-    means = []
-    for split, said in (("train", "of training"), ("held_out", "kept out of it")):
-        of = [objects[name] for name in groups()[split] if name in objects]
-        success = statistics.mean(s["success_percent"] for s in of)
-        up = statistics.mean(100.0 * s["up_at_9s"] / s["trials"] for s in of)
-        means.append(f"over {len(of)} objects {said} {success:.1f} and {up:.1f} %")
-    return f"{whole_grasps([path])}\n\nLifted and held, and up after 9 s: {', '.join(means)}."
+    nominal, lines = d["scenarios"][NOMINAL], []
+    for split, said in (("train", "Objects of training"), ("held_out", "Objects kept out of it")):
+        rows = [row for row in nominal["rows"] if row["object"] in groups()[split]]
+        ways = [row for row in rows if row["failure"] != _NO_WAY]
+        held = [row for row in rows if row["outcome"] == "success"]
+        up = [row for row in rows if row["up_at_9s"]]
+        lines.append(
+            f"- {said}: {_share(held, rows)} lifted and held, {_share(up, rows)} up after 9 s; of "
+            f"the {len(ways)} trials of {len(rows)} in which there was a way, {_share(held, ways)} "
+            f"and {_share(up, ways)}."
+        )
+    refused = Counter(row["object"] for row in nominal["rows"] if row["failure"] == _NO_WAY)
+    names = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in refused.most_common())
+    lines.append(f"- Trials without a way: {names or 'none'}.")
+    return f"{whole_grasps([path])}\n\n" + "\n".join(lines)
+
+
+def _share(some: Sequence[Any], every: Sequence[Any]) -> str:
+    return f"{100.0 * len(some) / len(every):.1f} %" if every else "none"
 
 
 def _closed_by(record: dict[str, Any]) -> str:

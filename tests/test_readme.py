@@ -450,19 +450,27 @@ def test_whole_grasps_have_their_table(tmp_path):
         }
 
 
-def test_objects_of_training_and_others_have_means_of_their_own(tmp_path):
-    summed = {"trials": 8, "success_percent": 87.5, "ci95": [52.9, 97.8], "up_at_9s": 6}
+def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
+    summed = {"trials": 4, "success_percent": 50.0, "ci95": [15.0, 85.0], "up_at_9s": 1}
     summed |= dict(not_reached=1, never_lifted=0, slipped=1, not_held=0, hit=2)
     summed |= dict(lifted_s=3.14, tip_error_mm=[7.0, 5.5, 5.0], midpoint_mm=4.4, force_mean_n=2.5)
-    objects = {"rubiks_cube": summed, "apple": summed | {"success_percent": 100.0}}
-    objects["chips_can"] = summed | {"success_percent": 62.5, "up_at_9s": 2}
-    nominal = {"settings": {"description": "nothing happens"}, "all": summed, "objects": objects}
+    came = {"S": ("success", "none", True), "s": ("success", "none", False)}
+    came |= {"L": ("slipped", "dropped", False), "N": ("not_reached", "no_candidate", False)}
+    rows = [
+        {"object": name, **dict(zip(("outcome", "failure", "up_at_9s"), came[c], strict=True))}
+        for name, outcomes in (("rubiks_cube", "SsNL"), ("bowl", "NN"), ("chips_can", "SS"))
+        for c in outcomes
+    ]
+    nominal = {"settings": {"description": "nothing happens"}, "all": summed, "rows": rows}
+    nominal["objects"] = dict.fromkeys(("rubiks_cube", "bowl", "chips_can"), summed)
     config = {"controller": "policy", "force_budget": 8.0}
     path = tmp_path / "all.json"
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
-    said = make_readme.stage_tables.grasps_by_split(path).splitlines()[-1]
-    assert "over 2 objects of training 93.8 and 75.0 %" in said
-    assert "over 1 objects kept out of it 62.5 and 25.0 %" in said
+    *_, training, others, refused = make_readme.stage_tables.grasps_by_split(path).splitlines()
+    assert "33.3 % lifted and held, 16.7 % up after 9 s" in training
+    assert "of the 3 trials of 6 in which there was a way, 66.7 % and 33.3 %" in training
+    assert "100.0 % lifted and held" in others and "of the 2 trials of 2" in others
+    assert refused == "- Trials without a way: bowl 2, rubiks cube 1."
 
 
 def test_the_controllers_time_has_its_table(tmp_path):

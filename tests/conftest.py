@@ -20,7 +20,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # On the CPU the tests compile far longer than they compute, so XLA optimises little. XLA_FLAGS=
 # (empty) runs them with the code that users get.
 if os.environ["JAX_PLATFORMS"] == "cpu":
-    flags = "--xla_backend_optimization_level=0"
+    flags = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     if version("jaxlib").startswith("0.10."):  # later ones end at a flag that they do not know
         flags += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", flags)

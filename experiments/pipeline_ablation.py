@@ -37,7 +37,7 @@ from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
-from mjx_grasp.evaluation.spread import Spread, spread, unspread
+from mjx_grasp.evaluation.spread import Spread, as_done, unspread
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.config import GrasperConfig
@@ -303,7 +303,7 @@ def main(config: PipelineAblationConfig) -> None:
         jobs = [(pair[0], given[pair], block) for pair, block in left]
         names = [", ".join(pair) for pair, _ in left]
         bar.update(one, description=names[0] if names else "")
-        for k, found in enumerate(spread(config, Systems.run, jobs, setup)):
+        for k, found in as_done(config, Systems.run, jobs, setup):
             (name, at), block = left[k]
             if whole := begun.add(names[k], by[name, at], blocks, block, found):
                 whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]

@@ -71,7 +71,23 @@ def spread(
     jobs: Sequence[Job],
     setup: Callable[[], Context],
 ) -> Iterator[Result]:
-    """The results of jobs, in their order, as they come.
+    """The results of jobs, in their order; arguments as of `as_done`."""
+    waiting: dict[int, Result] = {}
+    first = 0
+    for k, result in as_done(over, work, jobs, setup):
+        waiting[k] = result
+        while first in waiting:
+            yield waiting.pop(first)
+            first += 1
+
+
+def as_done(
+    over: Spread,
+    work: Callable[[Context, Job], Result],
+    jobs: Sequence[Job],
+    setup: Callable[[], Context],
+) -> Iterator[tuple[int, Result]]:
+    """The results of jobs as soon as they are there, each with its job's place in the list.
 
     A process that is lost is begun anew, and what it was at is done again.
 
@@ -85,7 +101,7 @@ def spread(
         return
     if over.alone:
         context = setup()
-        yield from (work(context, job) for job in jobs)
+        yield from ((k, work(context, job)) for k, job in enumerate(jobs))
         return
     import ray
     from ray.util import ActorPool
@@ -114,7 +130,9 @@ def spread(
         machines = ray.get([worker.machine.remote() for worker in workers])
         places = dict(zip(workers, places_on(machines), strict=True))
         pool: Any = ActorPool(workers)
-        yield from pool.map(lambda worker, job: worker.run.remote(places[worker], job), jobs)
+        yield from pool.map_unordered(
+            lambda worker, job: worker.run.remote(places[worker], *job), list(enumerate(jobs))
+        )
     finally:
         ray.shutdown()
 
@@ -148,10 +166,10 @@ class _Worker:
 
         return ray.get_runtime_context().get_node_id()
 
-    def run(self, place: Place, job: Any) -> Any:
+    def run(self, place: Place, number: int, job: Any) -> tuple[int, Any]:
         """Does a job, after what comes before the first one."""
         if not self._context:
             if hasattr(os, "sched_setaffinity"):  # not on macOS
                 os.sched_setaffinity(0, cores_of(place, sorted(os.sched_getaffinity(0))))
             self._context.append(self._setup())
-        return self._work(self._context[0], job)
+        return number, self._work(self._context[0], job)

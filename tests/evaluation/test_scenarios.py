@@ -1,5 +1,6 @@
 """Scenarios: what they do to objects, trackers and hands, and the command that runs them."""
 
+import io
 import json
 import subprocess
 import sys
@@ -30,6 +31,7 @@ from mjx_grasp.evaluation.grasps.scenario import (
     load_scenarios,
     scenario_names,
 )
+from mjx_grasp.evaluation.grasps.tables import scenario_table
 from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
@@ -340,6 +342,16 @@ def test_a_robot_without_a_policy_is_told_what_to_do():
 def command(*arguments):
     line = [sys.executable, "-m", "mjx_grasp.scenarios", *arguments]
     return subprocess.run(line, capture_output=True, text=True, timeout=900)
+
+
+def test_the_table_has_whole_names_in_a_narrow_terminal():
+    root = Path(__file__).resolve().parents[2]
+    kept = json.loads((root / "experiments/results/scenarios.json").read_text())["scenarios"]
+    console = Console(width=80, file=io.StringIO())
+    console.print(scenario_table(kept))
+    shown = console.file.getvalue()
+    assert {"moved_before_closing", "pushed_while_reaching"} <= set(kept)
+    assert all(name in shown for name in kept) and "…" not in shown
 
 
 @pytest.mark.long

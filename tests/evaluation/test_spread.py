@@ -14,7 +14,15 @@ import pytest
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation import spread as module
-from mjx_grasp.evaluation.spread import Place, Spread, cores_of, places_on, spread, unspread
+from mjx_grasp.evaluation.spread import (
+    Place,
+    Spread,
+    as_done,
+    cores_of,
+    places_on,
+    spread,
+    unspread,
+)
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 
@@ -102,6 +110,22 @@ def test_results_of_several_come_in_order_from_cores_of_their_own_and_none_is_lo
     assert len(list(tmp_path.glob("setup-*"))) == 3, "once in each process"
     with pytest.raises(ValueError, match="nine"):
         list(spread(over, work, [0, 9], begin))
+
+
+@pytest.mark.long
+def test_what_is_done_is_there_although_an_earlier_job_is_not(two_cores, tmp_path):
+    def work(context, job):
+        if job == 0:
+            while not (tmp_path / "others").exists():
+                time.sleep(0.02)
+        return context + job
+
+    found = []
+    for k, result in as_done(Spread(processes=2), work, range(4), lambda: 100):
+        found.append((k, result))
+        if len(found) == 3:
+            (tmp_path / "others").touch()
+    assert sorted(found[:3]) == [(1, 101), (2, 102), (3, 103)] and found[3] == (0, 100)
 
 
 @pytest.mark.long

@@ -18,7 +18,7 @@ from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
-from mjx_grasp.evaluation.spread import spread, unspread
+from mjx_grasp.evaluation.spread import as_done, unspread
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.records.atomic import check_writable, write_json
@@ -79,7 +79,7 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
             config,
             lambda share: bar.update(
                 bars[left[0][0]], completed=progress_of(left[0][0]) + _PERCENT * share
-            ),
+            ),  # alone it is at the first of those that are left
         )
         for name in scenarios:
             own.makers.objects(scenarios[name])  # refuses before anything long starts
@@ -101,17 +101,20 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
             for name in scenarios
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
-        jobs = [(scenarios[name], block) for name, block in left]
-        for found in spread(config, _Grasps.run, jobs, setup):
-            name, block = left.pop(0)
+        asked = tuple(left)
+        jobs = [(scenarios[name], block) for name, block in asked]
+        for k, found in as_done(config, _Grasps.run, jobs, setup):
+            name, block = asked[k]
+            left.remove(asked[k])
             if whole := begun.add(name, about[name], blocks, block, found):
                 done[name] = whole
             bar.update(bars[name], completed=progress_of(name))
-            content: dict[str, Any] = {"schema": SCHEMA, "config": settings, "scenarios": done}
+            ordered = {name: done[name] for name in scenarios if name in done}
+            content: dict[str, Any] = {"schema": SCHEMA, "config": settings, "scenarios": ordered}
             content |= {"begun": begun.record} if begun.record else {}
             content |= {"sha256": file_digests(policy=own.file), "provenance": made}
             write_json(config.out, content)
-    return {"config": settings, "scenarios": done}
+    return {"config": settings, "scenarios": {name: done[name] for name in scenarios}}
 
 
 def _before(

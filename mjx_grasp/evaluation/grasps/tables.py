@@ -16,17 +16,16 @@ def scenario_table(scenarios: Mapping[str, Mapping[str, Any]]) -> Table:
     Args:
         scenarios: As the results file has them.
     """
-    table = Table(title="Whole grasps from home")
-    table.add_column("scenario")
-    for name in ("trials", "held %", "lifted s", "force N", "up at 9 s %"):
+    table = Table(title="Whole grasps from home", box=None)
+    table.add_column("scenario", no_wrap=True)
+    for name in ("trials", "held %", "lifted s", "force N", "up 9 s %"):
         table.add_column(name, justify="right")
     table.add_column("otherwise")
     for name, result in scenarios.items():
         sums = result["all"]
         up = 100.0 * sums["up_at_9s"] / sums["trials"]
-        cells = [sums["trials"], sums["success_percent"], sums["lifted_s"], sums["force_mean_n"]]
-        cells.append(round(up, 1))
+        cells = (sums["success_percent"], sums["lifted_s"], sums["force_mean_n"], up)
+        known = ("-" if cell is None else f"{cell:.1f}" for cell in cells)
         failed = [f"{sums[name]} {name.replace('_', ' ')}" for name in OUTCOMES[1:] if sums[name]]
-        known = ("-" if cell is None else str(cell) for cell in cells)
-        table.add_row(name, *known, ", ".join(failed))
+        table.add_row(name, str(sums["trials"]), *known, ", ".join(failed))
     return table

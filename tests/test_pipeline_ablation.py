@@ -10,12 +10,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from grasp_rows import row
 
 from mjx_grasp.closing.config import CloserConfig, GripConfig
 from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.makers import Makers
-from mjx_grasp.evaluation.grasps.results import OUTCOMES, GraspRow, as_record
+from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.records.settings import to_record
 
@@ -41,16 +42,6 @@ def ablation(monkeypatch):
 def tables(monkeypatch):
     monkeypatch.syspath_prepend(EXPERIMENTS)
     return load("pipeline_tables")
-
-
-def row(outcome="success", name="box"):
-    held = outcome == "success"
-    return GraspRow(
-        object=name, outcome=outcome, failure="none", handoff_s=2.0, lift_s=3.0,
-        lifted_s=4.0 if held else None, up_at_9s=held, tip_error_mm=(1.0, 2.0, 3.0),
-        midpoint_mm=1.0, force_mean_n=2.5 if held else None, force_peak_n=5.0, peak_rise_m=0.1,
-        returns=0, replans=0,
-    )  # fmt: skip
 
 
 def leaves(record, path=""):

@@ -3,24 +3,18 @@
 import json
 
 import pytest
+from grasp_rows import row
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mjx_grasp.evaluation.grasps.blocks import TRIALS, Begun, BlockResult, blocks_of
-from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
+from mjx_grasp.evaluation.grasps.results import as_record
 
 ABOUT = {"settings": {"hold_s": 1.0}}
 
 
-def rows(outcome, count, name="box"):
-    return [
-        GraspRow(
-            object=name, outcome=outcome, failure="none", handoff_s=2.0, lift_s=3.0, lifted_s=4.0,
-            up_at_9s=True, tip_error_mm=(1.0, 2.0, 3.0), midpoint_mm=1.0, force_mean_n=2.5,
-            force_peak_n=5.0, peak_rise_m=0.1, returns=0, replans=0,
-        )
-        for _ in range(count)
-    ]  # fmt: skip
+def rows(outcome, count):
+    return [row(outcome) for _ in range(count)]
 
 
 @given(episodes=st.integers(1, 500), objects=st.integers(1, 100), seed=st.integers(0, 2**31))

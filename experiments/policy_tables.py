@@ -149,7 +149,7 @@ def choice(folder: Path) -> str:
             lines.append((path.stem, _flags(row), str(row["seed"]), f"{budget:g}", *cells))
     header = (
         "run",
-        "differs from `budget-0` in",
+        "its own flags",
         "seed",
         "budget N",
         *(c.short() for c in conditions),

@@ -70,6 +70,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "tables": closing_tables.all_conditions(results),
             "conditions": closing_tables.conditions(folder / "conditions"),
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),
+            "earlier": policy_tables.earlier(folder, root / "assets" / "policy.npz"),
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "handoffs": closing_tables.shipped_handoffs(folder),
             "failing": stage_tables.failing_starts(folder / "failing_starts.json"),

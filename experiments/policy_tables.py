@@ -20,6 +20,7 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
+from mjx_grasp.records.provenance import file_digests
 from mjx_grasp.records.table import Table
 
 
@@ -167,6 +168,42 @@ def _flags(row: dict[str, Any]) -> str:
     parts = " ".join(words[words.index("mjx_grasp.train") + 1 :]).split("--")[1:]
     own = (part.strip() for part in parts if part.split()[0] not in _COMMON)
     return ", ".join(f"`{part}`" for part in own)
+
+
+_OF_THEIR_OWN = ("seeds", "choice", "end_to_end")
+"""folders of results whose policies are named where they are shown"""
+
+
+def earlier(folder: Path, shipped: Path) -> str:
+    """Which results are of a policy that was shipped before, by the hash of its file.
+
+    Args:
+        folder: The results files; policies shipped before are in its `seeds`, by the run's name.
+        shipped: The policy that is shipped now.
+    """
+    if not shipped.exists():
+        return NOTHING
+    names = {d: p.stem for p in sorted((folder / "seeds").glob("*.json")) if (d := _policy_of(p))}
+    names[file_digests(policy=shipped)["policy"]] = ""
+    old: dict[str, list[str]] = {}
+    for path in sorted(folder.rglob("*.json")):
+        within = path.relative_to(folder)
+        if within.parts[0] in _OF_THEIR_OWN or (digest := _policy_of(path)) is None:
+            continue
+        if name := names.get(digest, "an earlier one"):
+            old.setdefault(name, []).append(f"[{within}](results/{within})")
+    if not old:
+        return "All results of a policy that is not named are of the shipped one."
+    said = "; ".join(
+        f"{', '.join(files)} of {name if ' ' in name else f'`{name}`'}"
+        for name, files in old.items()
+    )
+    return f"Still of policies that were shipped before: {said}."
+
+
+def _policy_of(path: Path) -> str | None:
+    """The hash of the policy that a results file names as the one it evaluated."""
+    return read_json(path, "a results file").get("sha256", {}).get("policy")
 
 
 _ABLATION = (

@@ -1,3 +1,4 @@
+import hashlib
 import importlib.util
 import json
 import re
@@ -269,6 +270,33 @@ def test_what_was_chosen_among_stands_in_the_order_of_the_runs(tmp_path):
         ["second", flag, "0", "3", "25.0 at 4.25", "0.0 at 4.25"],
         ["first", flag, "1", "3", "75.0 at 4.25", "0.0 at 4.25"],
     ]
+
+
+def test_results_of_a_policy_that_was_shipped_before_are_named(tmp_path):
+    """By the hash of its file; a file that knows of no policy, or of today's, is not."""
+    shipped = tmp_path / "policy.npz"
+    shipped.write_bytes(b"now")
+    now = hashlib.sha256(b"now").hexdigest()
+    for name, digest in (
+        ("seeds/first", "ab"),
+        ("seeds/other", None),
+        ("today", now),
+        ("parts/old", "ab"),
+        ("older", "cd"),
+        ("none", None),
+        ("choice/tried", "cd"),
+    ):
+        path = tmp_path / "results" / f"{name}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"sha256": {"policy": digest} if digest else {}}))
+    said = make_readme.policy_tables.earlier(tmp_path / "results", shipped)
+    old, older = (f"[{n}.json](results/{n}.json)" for n in ("parts/old", "older"))
+    assert said == (
+        f"Still of policies that were shipped before: {older} of an earlier one; {old} of `first`."
+    )
+    for name in ("parts/old", "older"):
+        (tmp_path / "results" / f"{name}.json").unlink()
+    assert "All results" in make_readme.policy_tables.earlier(tmp_path / "results", shipped)
 
 
 def test_a_claim_is_judged_by_what_the_files_hold(root):

@@ -6,13 +6,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import unit
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.scores import anchor_score, separation_score, width_score
 from mjx_grasp.heatmap.steering import Heatmap
+
+_DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float32) - 1.0
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 
 
 class Candidates(NamedTuple):
@@ -84,12 +88,57 @@ def from_heatmap(
     available = everything.score.shape[0]
     count = available if count is None else count
     _, order = jax.lax.top_k(everything.score, min(count, available))
+    return _taken(everything, order, count)
+
+
+def first_and_rest(
+    heatmap: Heatmap, score: Float[Array, " v"] | None, first: int, count: int
+) -> Candidates:
+    """The best by a score, and without a score some others that are to be had where those are not.
+
+    The others are the best by the heatmap's own score in each direction of the grasp axis, so that
+    there are some for an object that lies on its best faces, or on the anchor. Jittable.
+
+    Args:
+        heatmap: Of the object.
+        score: Steered scores; the heatmap's own if None.
+        first: How many are chosen by the score.
+        count: How many in all; those that are wanting are invalid.
+    """
+    everything, wanted = vertex_candidates(heatmap), vertex_candidates(heatmap, score).score
+    ranked, best = jax.lax.top_k(wanted, min(first, len(wanted)))
+    left = everything.score.at[best].multiply(ranked <= 0)
+    rest = evenly_over_directions(everything._replace(score=left))[: count - first]
+    chosen = _taken(everything, jnp.concatenate([best, rest]), count)
+    scores = jnp.pad(ranked, (0, count - len(ranked)))
+    usable = jnp.concatenate([ranked > 0, left[rest] > 0])
+    return chosen._replace(score=scores, valid=jnp.pad(usable, (0, count - len(usable))))
+
+
+def evenly_over_directions(candidates: Candidates) -> Int[Array, " c"]:
+    """An order in which each direction of the grasp axis has its turn, with its best first.
+
+    Args:
+        candidates: In any order; those that are invalid or have no score come last.
+    """
+    scored = candidates.valid & (candidates.score > 0)
+    direction = jnp.argmax(candidates.axis @ jnp.asarray(_DIRECTIONS).T, axis=1)
+    direction = jnp.where(scored, direction, len(_DIRECTIONS))
+    sorted_by_it = jnp.lexsort((-candidates.score, direction))
+    ranked = direction[sorted_by_it]
+    within = jnp.arange(len(ranked)) - jnp.searchsorted(ranked, ranked)
+    turn = jnp.zeros_like(within).at[sorted_by_it].set(within)
+    return jnp.lexsort((-candidates.score, turn, ~scored))
+
+
+def _taken(candidates: Candidates, order: Int[Array, " n"], count: int) -> Candidates:
+    """Some of them, filled up with invalid ones."""
 
     def taken(leaf: Array) -> Array:
-        filler = [(0, max(count - available, 0))] + [(0, 0)] * (leaf.ndim - 1)
+        filler = [(0, max(count - len(order), 0))] + [(0, 0)] * (leaf.ndim - 1)
         return jnp.pad(leaf[order], filler)
 
-    return jax.tree.map(taken, everything)
+    return jax.tree.map(taken, candidates)
 
 
 def cylinder_candidates(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -12,7 +11,7 @@ from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import InputError
-from mjx_grasp.grasp.candidates import Candidates, from_heatmap
+from mjx_grasp.grasp.candidates import Candidates, first_and_rest
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
@@ -66,7 +65,7 @@ def whole_grasps(
         if approach != "any":
             raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
-    lesser = LESSER_SCORES if steered else ()
+    lesser = LESSER_SCORES if steered else LESSER_SCORES[-1:]
     # What follows is known of postures that were solved for alone: no attempt is left behind.
     thorough = PlanConfig()
     plan = replace(
@@ -129,11 +128,12 @@ def known_object(
         robot: Whose hand the candidates are for.
         heatmap: Of the object; computed here if None.
         score: Of an anchor, see `steered_candidates`; the heatmap's own if None.
-        count: Candidates, the best by score.
+        count: Candidates: the best by score, and a quarter that are others, for poses in which none
+            of those is within reach.
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     if score is None:
-        candidates = from_heatmap(heatmap, None, count)
+        candidates = first_and_rest(heatmap, None, count - count // 4, count)
     else:
         candidates = steered_candidates(heatmap, jnp.asarray(score), count)
     weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
@@ -165,19 +165,15 @@ def steered_candidates(
 ) -> Candidates:
     """Those a steered grasp chooses among: half of them the anchor's best, with `steered_scores`.
 
-    The other half are the best of the heatmap itself, with no score at all: for when nothing near
-    the anchor is within reach.
+    The others are of the heatmap itself, with no score at all: for when nothing near the anchor is
+    within reach.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
         count: How many.
     """
-    scaled = jnp.where(heatmap.valid, steered_scores(heatmap, score), 0.0)
-    _, best = jax.lax.top_k(scaled, min(count // 2, len(scaled)))
-    near = jnp.zeros(len(scaled), bool).at[best].set(True) & (scaled > 0)
-    ranked = from_heatmap(heatmap, jnp.where(near, 2.0 + scaled, heatmap.score), count)
-    return ranked._replace(score=jnp.maximum(ranked.score - 2.0, 0.0))
+    return first_and_rest(heatmap, steered_scores(heatmap, score), count // 2, count)
 
 
 def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:

@@ -10,10 +10,16 @@ import trimesh
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
-from mjx_grasp.grasp.candidates import cylinder_candidates, from_heatmap
-from mjx_grasp.grasp.config import SelectionConfig
+from mjx_grasp.grasp.candidates import (
+    cylinder_candidates,
+    evenly_over_directions,
+    first_and_rest,
+    from_heatmap,
+    vertex_candidates,
+)
+from mjx_grasp.grasp.config import SelectionConfig, TargetConfig
 from mjx_grasp.grasp.select import HandPose, select, start_selection
-from mjx_grasp.grasp.targets import NONE
+from mjx_grasp.grasp.targets import NONE, admissible, target_options
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.steering import steer
 
@@ -242,6 +248,69 @@ def test_candidates_that_tie_keep_the_order_of_their_vertices(mesh_heatmap, coun
     np.testing.assert_array_equal(found.thumb, np.asarray(heatmap.thumb)[order])
     np.testing.assert_array_equal(found.valid, valid[order])
     np.testing.assert_array_equal(found.score, np.where(valid, steps, 0)[order])
+
+
+@pytest.fixture(scope="module")
+def flat_heatmap():
+    """Of a box that is best held from above and below, where it lies on a table."""
+    mesh = trimesh.creation.box((0.07, 0.08, 0.035)).subdivide_to_size(0.008)
+    found = compute_heatmap(mesh.vertices, mesh.faces, np.zeros(3), SPAN, 0.1)
+    return found._replace(score=found.score * (0.2 + 0.8 * jnp.abs(found.axis[:, 2])))
+
+
+def _directions(axes):
+    """The nearest of the 26 of a cube, as whole numbers."""
+    grid = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1
+    unit = grid / np.linalg.norm(grid, axis=1, keepdims=True)
+    return [tuple(grid[k]) for k in np.argmax(np.asarray(axes) @ unit.T, axis=1)]
+
+
+def test_each_direction_has_its_turn_with_its_best_first(flat_heatmap):
+    everything = vertex_candidates(flat_heatmap)
+    order = np.asarray(jax.jit(evenly_over_directions)(everything))
+    scored = np.asarray(everything.valid & (everything.score > 0))
+    assert sorted(order) == list(range(len(order)))
+    assert np.all(np.diff(scored[order].astype(int)) <= 0), "those without a score come last"
+    order = order[: scored.sum()]
+    score, directions = np.asarray(everything.score)[order], _directions(everything.axis[order])
+    several = len(set(directions))
+    assert several >= 6
+    assert len(set(directions[:several])) == several
+    turns = [directions[:k].count(directions[k]) for k in range(len(order))]
+    assert np.all(np.diff(turns) >= 0)
+    for direction in set(directions):
+        own = score[[d == direction for d in directions]]
+        assert np.all(np.diff(own) <= 0)
+
+
+def test_an_object_on_its_best_faces_has_candidates_among_the_rest(flat_heatmap):
+    lying, config = (jnp.asarray([0.5, 0.0, 0.0175]), jnp.eye(3)), TargetConfig()
+
+    def to_be_had(candidates):
+        options = target_options(candidates, config)
+        return np.asarray(options.candidate)[admissible(candidates, options, *lying, config)]
+
+    best, mixed = from_heatmap(flat_heatmap, count=96), first_and_rest(flat_heatmap, None, 64, 96)
+    assert len(to_be_had(best)) == 0
+    assert len(to_be_had(mixed)) > 0 and np.all(to_be_had(mixed) >= 64)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[:64], b[:64]), mixed, best)
+    assert np.all(np.asarray(mixed.score[64:]) == 0) and np.all(mixed.valid)
+    places = np.concatenate([mixed.thumb, mixed.axis], axis=1)
+    assert len(np.unique(places.round(6), axis=0)) == 96, "none twice"
+
+
+def test_of_a_small_mesh_there_are_as_many_as_there_are(flat_heatmap):
+    """None twice, none of those that the score says nothing of before the others, the rest void."""
+    scored = np.asarray(flat_heatmap.valid & (flat_heatmap.score > 0))
+    near = scored & (np.arange(len(scored)) % 3 == 0)
+    found = first_and_rest(
+        flat_heatmap, jnp.asarray(near, jnp.float32), len(scored), 2 * len(scored)
+    )
+    assert int(found.valid.sum()) == scored.sum()
+    np.testing.assert_array_equal(found.score[: near.sum()], 1.0)
+    np.testing.assert_array_equal(found.score[near.sum() :], 0.0)
+    kept = np.asarray(found.thumb)[np.asarray(found.valid)]
+    assert sorted(map(tuple, kept)) == sorted(map(tuple, np.asarray(flat_heatmap.thumb)[scored]))
 
 
 def test_from_an_anchor_to_targets_in_one_jitted_tick(mesh_heatmap):

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.journal import Journal
 from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import (
@@ -134,6 +135,13 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     objects = load_objects(config.objects, config.objects_dir)
     states = states_of(stored, names, "evaluation")
     return Comparison(record, contestants, names, objects, robot, states)
+
+
+def journal_of(config: ComparedConfig, found: Comparison) -> Journal:
+    """Where finished trials are until their turn in the file comes."""
+    same = ("schema", "settings", "sha256")
+    identity = {name: found.record[name] for name in same}
+    return Journal(config.out, identity | {"git": found.record["provenance"]["git"]})
 
 
 class Runner:

@@ -12,7 +12,7 @@ revision is gone on with. A new policy need not wait for what is known of the ot
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -27,9 +27,10 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.results import ResultRow, read_results, write_results
+from mjx_grasp.evaluation.journal import Journal, journaled
+from mjx_grasp.evaluation.results import ResultRow, read_results, row_from_record, write_results
 from mjx_grasp.evaluation.run import evaluate
-from mjx_grasp.evaluation.spread import Spread, spread, unspread
+from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -245,12 +246,12 @@ def _load(config: ComparisonConfig) -> _Evaluator:
     return _Evaluator(world, names, without, policy, states.reached)
 
 
-def _evaluated(own: _Evaluator, chosen: EvaluateConfig) -> tuple[list[ResultRow], dict[str, int]]:
-    """Rows of one controller under one condition, and incidents."""
+def _evaluated(own: _Evaluator, chosen: EvaluateConfig) -> dict[str, Any]:
+    """Rows of one controller under one condition, and incidents, for the journal."""
     controller = own.policy if chosen.controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
     rows, trials = evaluate(own.world, own.names, chosen, controller, own.reached, quiet)
-    return rows, incidents(trials.values())
+    return {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
 
 
 def main(config: ComparisonConfig) -> None:
@@ -275,14 +276,21 @@ def main(config: ComparisonConfig) -> None:
     asked, finished = own.asked(config), len(rows) // len(own.names)
     new = [each for each in asked[finished:] if each not in known]
     setup = (lambda: own) if config.alone else partial(_load, config)
-    results = spread(config, _evaluated, new, setup)
+    journal = Journal(config.out, made_of | {"git": made["git"]})
+    results = journaled(config, _evaluated, new, setup, journal)
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=finished)
         for each in asked[finished:]:
-            of_each, happened = (known[each], {}) if each in known else next(results)
-            rows += of_each
-            for what, count in happened.items():
-                counted[what] = counted.get(what, 0) + count
+            if each in known:
+                rows += known[each]
+            else:
+                done = next(results)
+                rows += [
+                    row_from_record(journal.path, k, values, ResultRow)
+                    for k, values in enumerate(done["rows"])
+                ]
+                for what, count in done["incidents"].items():
+                    counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
             write_results(
                 config.out,
@@ -294,6 +302,7 @@ def main(config: ComparisonConfig) -> None:
                 **counted,
             )
             bar.update(job, advance=1)
+    journal.close()
     count = len(asked) // len(config.conditions) * len(own.names)
     for k in range(len(config.conditions)):
         of = rows[k * count : (k + 1) * count]

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from compared import ComparedConfig, Runner, compared
+from compared import ComparedConfig, Runner, compared, journal_of
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
-from mjx_grasp.evaluation.spread import spread
+from mjx_grasp.evaluation.journal import journaled
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import NonNegative
 from mjx_grasp.tasks.config import StartNoise
@@ -70,7 +70,8 @@ def main(config: PoseErrorConfig) -> None:
     done = found.record["controllers"]
     left = [name for name in found.contestants if name not in done]
     cells = [(name, *condition) for name in left for condition in grid]
-    results = spread(config, _rows, cells, partial(_runner, config))
+    journal = journal_of(config, found)
+    results = journaled(config, _rows, cells, partial(_runner, config), journal)
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
         for name in left:
@@ -80,6 +81,7 @@ def main(config: PoseErrorConfig) -> None:
                 bar.update(job, advance=1)
             done[name] = rows
             write_json(config.out, found.record)
+    journal.close()
 
 
 if __name__ == "__main__":

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from compared import ComparedConfig, Runner, compared
+from compared import ComparedConfig, Runner, compared, journal_of
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
-from mjx_grasp.evaluation.spread import spread
+from mjx_grasp.evaluation.journal import journaled
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import Positive, Several
 from mjx_grasp.sim.scene import SceneConfig
@@ -99,7 +99,9 @@ def main(config: SensitivityConfig) -> None:
         if factor not in done.get(name, {})
     ]
     cells = [(name, factor, value) for name, factor in left for value in asked[factor]]
-    results = spread(config, Runners.rows, cells, functools.partial(Runners, config))
+    journal = journal_of(config, found)
+    setup = functools.partial(Runners, config)
+    results = journaled(config, Runners.rows, cells, setup, journal)
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
         for name, factor in left:
@@ -109,6 +111,7 @@ def main(config: SensitivityConfig) -> None:
                 bar.update(job, advance=1)
             done.setdefault(name, {})[factor] = rows
             write_json(config.out, found.record)
+    journal.close()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import importlib
 import itertools
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,8 @@ def script(monkeypatch, request):
             angle_deg=0.0, friction=chosen.friction, handoffs="reached",
             force_budget_n=chosen.force_budget if budget else None,
         )  # fmt: skip
-        return [replace(row, object=name) for name in NAMES], {}
+        rows = [asdict(replace(row, object=name)) for name in NAMES]
+        return {"rows": rows, "incidents": {"overflows": 1}}
 
     def load(config):
         return module._Evaluator(None, NAMES, [], None, np.ones(1, bool))
@@ -86,6 +87,40 @@ def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):
     first.out.write_text(json.dumps(record))
     script.main(replace(first, out=tmp_path / "second.json", known=first.out))
     assert [each.squeeze_force for each in script.ran if each.controller == "squeeze"] == [5, 3, 5]
+
+
+def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
+    script, first, tmp_path, monkeypatch
+):
+    """Of controllers that end in the reverse of their order, too."""
+    from mjx_grasp.evaluation import journal
+
+    def as_done(over, work, jobs, setup):
+        context = setup()
+        for k in reversed(range(len(jobs))):
+            yield k, work(context, jobs[k])
+
+    monkeypatch.setattr(journal, "as_done", as_done)
+    whole, second = json.loads(first.out.read_text()), replace(first, out=tmp_path / "second.json")
+    evaluated = script._evaluated
+
+    def stops(own, chosen):
+        if len(script.ran) == 3:
+            raise KeyboardInterrupt
+        return evaluated(own, chosen)
+
+    monkeypatch.setattr(script, "_evaluated", stops)
+    with pytest.raises(KeyboardInterrupt):
+        script.main(second)
+    monkeypatch.setattr(script, "_evaluated", evaluated)
+    script.main(second)
+    assert len(script.ran) == 2 * (script.policies + 3), "none twice"
+    found = json.loads(second.out.read_text())
+    assert found["overflows"] == whole["overflows"] == len(script.ran)
+    for ours, theirs in zip(found["rows"], whole["rows"], strict=True):
+        # The stand-in for a force tells when a controller was run.
+        assert ours | {"force_mean_n": 0.0} == theirs | {"force_mean_n": 0.0}
+    assert sorted(tmp_path.iterdir()) == [first.out, second.out]
 
 
 def test_the_known_file_is_not_written_over(script, first):

@@ -231,7 +231,7 @@ def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:
         raise FileError(path, f"{error.field} = {error.found!r}", error.expected) from None
     own = ("schema", "robot", "rows", "provenance")
     extra = {k: v for k, v in document.items() if k not in own}
-    found = tuple(_row(path, i, r, kind) for i, r in enumerate(rows))
+    found = tuple(row_from_record(path, i, r, kind) for i, r in enumerate(rows))
     return Results(found, provenance, extra, robot)
 
 
@@ -254,7 +254,18 @@ def mean_success(rows: Sequence[ResultRow]) -> tuple[float, tuple[float, float]]
     return float(np.mean(100.0 * successes / episodes)), mean_rate_interval(successes, episodes)
 
 
-def _row(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
+def row_from_record(path: str | Path, index: int, values: Any, kind: type[Row]) -> Row:
+    """A row of a file, as `asdict` wrote it.
+
+    Args:
+        path: The file, for messages.
+        index: Which row of it.
+        values: What is there.
+        kind: The row's class.
+
+    Raises:
+        FileError: It is no such row, or contradicts itself.
+    """
     names = {f.name for f in fields(kind)}
     needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
     where = f"row {index}"

@@ -1,0 +1,132 @@
+"""Work that is killed: what was finished is kept, in whatever order it ended, and nothing else."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from mjx_grasp.evaluation import journal as module
+from mjx_grasp.evaluation.journal import Journal, journaled
+from mjx_grasp.evaluation.spread import Spread
+
+
+@pytest.fixture
+def results(tmp_path):
+    return tmp_path / "results.json"
+
+
+@pytest.fixture
+def backwards(monkeypatch):
+    """Jobs that end in the reverse of their order."""
+
+    def as_done(over, work, jobs, setup):
+        context = setup()
+        for k in reversed(range(len(jobs))):
+            yield k, work(context, jobs[k])
+
+    monkeypatch.setattr(module, "as_done", as_done)
+
+
+def _run(results, jobs, until=None, identity=None):
+    """Results of jobs, and which of them were done; stopped where it gets to a job."""
+    done = []
+
+    def work(context, job):
+        if job == until:
+            raise KeyboardInterrupt
+        done.append(job)
+        return {"twice": 2 * job, "context": context}
+
+    journal, got = Journal(results, identity or {"seed": 1}), []
+    try:
+        for result in journaled(Spread(), work, jobs, lambda: "set up", journal):
+            got.append(result["twice"])
+        journal.close()
+    except KeyboardInterrupt:
+        pass
+    return got, done
+
+
+@pytest.mark.parametrize("until", range(5))
+def test_what_ended_before_its_turn_is_kept(results, backwards, until):
+    got, done = _run(results, [0, 1, 2, 3, 4], until)
+    assert got == [] and done == list(range(4, until, -1))
+    got, done = _run(results, [0, 1, 2, 3, 4])
+    assert got == [0, 2, 4, 6, 8] and sorted(done) == list(range(until + 1))
+    assert list(results.parent.iterdir()) == [], "the journal goes once all is in the results"
+
+
+def test_results_come_in_order_as_soon_as_they_can(results):
+    got, done = _run(results, [3, 1, 2], until=2)
+    assert got == [6, 2] and done == [3, 1]
+    got, done = _run(results, [5, 1, 2, 3])
+    assert got == [10, 2, 4, 6] and done == [5, 2], (
+        "told apart by what they are, not by their place"
+    )
+
+
+@pytest.mark.parametrize("cut", range(1, 12))
+def test_a_line_that_was_being_written_counts_for_nothing(results, cut):
+    _run(results, [1, 2, 3], until=3)
+    path = Journal(results, {"seed": 1}).path
+    path.write_bytes(path.read_bytes()[:-cut])
+    got, done = _run(results, [1, 2, 3], until=3)
+    assert got == [2, 4] and done == ([] if cut == 1 else [2])
+    got, done = _run(results, [1, 2, 3])
+    assert got == [2, 4, 6] and done == [3], "what came after it is whole"
+
+
+def test_another_runs_journal_is_not_used(results):
+    _run(results, [1, 2, 3], until=3)
+    assert _run(results, [1, 2, 3], identity={"seed": 2}) == ([2, 4, 6], [1, 2, 3])
+
+
+def test_what_is_not_json_is_refused_at_once(results):
+    journal = Journal(results, {})
+    with pytest.raises(TypeError, match="JSON"):
+        next(journaled(Spread(), lambda c, j: object(), [1], lambda: None, journal))
+
+
+def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):
+    """Two processes' worth of jobs in one, killed without notice; the next does what is left."""
+    script = tmp_path / "work.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import sys, time
+            from pathlib import Path
+            from mjx_grasp.evaluation.journal import Journal, journaled
+            from mjx_grasp.evaluation.spread import Spread
+
+            def work(context, job):
+                if job == 5 and sys.argv[1] == "waits":
+                    time.sleep(600)
+                print(job, flush=True)
+                return job
+
+            journal = Journal(Path("out.json"), {})
+            print(list(journaled(Spread(), work, range(8), lambda: None, journal)), flush=True)
+            """
+        )
+    )
+    command = [sys.executable, str(script)]
+    first = subprocess.Popen(
+        [*command, "waits"], cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=os.environ
+    )
+    read = [first.stdout.readline().strip() for _ in range(5)]
+    journal = tmp_path / ".out.json.begun"
+    for _ in range(600):
+        if len(journal.read_text().splitlines()) == 6:
+            break
+        time.sleep(0.05)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert read == ["0", "1", "2", "3", "4"]
+    again = subprocess.run([*command, "on"], cwd=tmp_path, capture_output=True, text=True)
+    *did, said = again.stdout.splitlines()
+    assert did == ["5", "6", "7"] and json.loads(said) == list(range(8))

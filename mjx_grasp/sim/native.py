@@ -89,6 +89,7 @@ class NativePhysics:
         params: WorldParams,
         ctrl: Float[Array, "w nu"],
         wrench: Float[Array, "w 6"] | None = None,
+        awake: Bool[Array, " w"] | None = None,
     ) -> tuple[NativeState, Measured, Truth]:
         """See `Physics.step`.
 
@@ -98,14 +99,17 @@ class NativePhysics:
             ctrl: Position commands [rad].
             wrench: On the object at its centre of mass during the tick, world frame: force [N],
                 torque [N m].
+            awake: Worlds that go on, all by default; what is given of the others is void.
         """
         wrench = jnp.zeros((len(ctrl), 6)) if wrench is None else wrench
         worlds = state.qpos.shape[0]
+        awake = jnp.ones(worlds, bool) if awake is None else awake
         shapes = {
             name: jax.ShapeDtypeStruct((worlds, *shape), dtype)
             for name, (shape, dtype) in self._readings.items()
         }
-        out = jax.pure_callback(self._step_host, shapes, state._replace(ctrl=ctrl), params, wrench)
+        given = state._replace(ctrl=ctrl), params, wrench, awake
+        out = jax.pure_callback(self._step_host, shapes, *given)
         state = NativeState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
         residual = inverse_dynamics_residual(
             self._rows,
@@ -140,16 +144,19 @@ class NativePhysics:
         return NativeState(**packed)
 
     def _step_host(
-        self, state: NativeState, params: WorldParams, wrench: Float[Array, "w 6"]
+        self,
+        state: NativeState,
+        params: WorldParams,
+        wrench: Float[Array, "w 6"],
+        awake: Bool[Array, " w"],
     ) -> dict[str, np.ndarray]:
         state, params = jax.tree.map(np.asarray, (state, params))
-        wrenches = np.asarray(wrench)
-        worlds = len(state.qpos)
-        out = {n: np.empty((worlds, *s), d) for n, (s, d) in self._readings.items()}
+        wrenches, going = np.asarray(wrench), np.flatnonzero(awake).tolist()
+        out = {n: np.zeros((len(awake), *s), d) for n, (s, d) in self._readings.items()}
 
         def run(thread: int) -> None:
             mine = self._workers[thread]
-            for w in range(thread, worlds, self._threads):
+            for w in going[thread :: self._threads]:
                 friction, mass_scale = float(params.friction[w]), float(params.mass_scale[w])
                 world = mine[int(params.object_index[w])]
                 world.step(w, state, friction, mass_scale, wrenches[w], out)

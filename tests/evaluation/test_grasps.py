@@ -7,7 +7,7 @@ import pytest
 
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all
+from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, grasp_all
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.pipeline.assemble import grasper_of, known_object, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
@@ -38,18 +38,26 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot):
     library = start_library(grasper.reacher.body, plan)
     height = cube.resting[0].height
     problem = GraspProblem(
-        np.array([0, 0]),
-        np.float32([[0.5, 0.1, height], [0.55, -0.15, height]]),
-        np.repeat(np.float32([cube.resting[0].quat]), 2, axis=0),
+        np.array([0, 0, 0]),
+        np.float32([[0.5, 0.1, height], [0.55, -0.15, height], [0.96, 0.66, height]]),
+        np.repeat(np.float32([cube.resting[0].quat]), 3, axis=0),
     )
     physics = NativePhysics(build_scene([cube], robot), grasper.dt)
     known = known_of([known_object(cube, robot)], problem)
     end, trace = grasp_all(grasper, library, physics, known, problem)
-    assert end.progress.success.all()
-    assert (end.state.phase == Phase.HOLDING).all()
+    np.testing.assert_array_equal(end.progress.success, [True, True, False])
+    assert (end.state.phase[:2] == Phase.HOLDING).all(), "the third is out of reach"
+    # Each trial ends for itself: nothing moves afterwards, however long another one takes.
+    ended = np.argmax(trace.over, axis=0)
+    assert ended[0] == ended[1] == round(LEAST_S / grasper.dt) and len(trace.over) > 1500
+    assert trace.over[900:, :2].all() and not trace.over[:900].any()
+    for part in (trace.qpos, trace.force, trace.phase, trace.rise):
+        assert (part[901:, :2] == part[900, :2]).all() and (part[899, :2] == part[900, :2]).all()
+    assert np.all(end.state.clock[:2] == end.state.clock[0]) and end.state.clock[2] > 15
     order = trace.phase[np.diff(trace.phase, axis=0, prepend=-1).nonzero()[0][:4], 0]
     assert set(order) <= {Phase.REACHING, Phase.CLOSING, Phase.LIFTING, Phase.HOLDING}
     rows = grasp_rows([cube.name], problem, end, trace, grasper.dt)
+    assert rows.pop().outcome == "not_reached"
     for row in rows:
         assert row.outcome == "success" and row.failure == "none"
         assert 0.3 < row.handoff_s < row.lift_s < row.lifted_s < 10

@@ -238,8 +238,39 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
         assert begins.value.args == (weight, None)
 
 
-def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0):
+@pytest.mark.wrong_types
+def test_a_trial_is_over_once_it_has_ended_and_had_its_time():
+    """Failed, or held for long enough: not before 9 s, and whatever the others do."""
+    cases = [
+        (Phase.FAILED, 8.99, np.nan, False),
+        (Phase.FAILED, 9.0, np.nan, True),
+        (Phase.REACHING, 15.0, np.nan, False),
+        (Phase.LIFTING, 15.0, 3.0, False),
+        (Phase.HOLDING, 9.0, 8.5, False),
+        (Phase.HOLDING, 9.5, 8.5, True),
+        (Phase.HOLDING, 6.0, 4.0, False),
+        (Phase.HOLDING, 9.0, 4.0, True),
+    ]
+    phase, clock, top, over = (np.array(values) for values in zip(*cases, strict=True))
+    entered = np.full((len(cases), len(Phase)), np.nan)
+    entered[:, Phase.HOLDING] = top
+    state = SimpleNamespace(phase=phase, clock=clock, entered=entered)
+    np.testing.assert_array_equal(rollout._over(state, 1.0), over)
+
+
+@pytest.mark.wrong_types
+def test_the_force_is_that_until_a_trial_is_over():
+    rise, force = np.full(1200, 0.12), np.full((1200, 1, 3), 2.0)
+    force[900:] = 50.0
+    over = np.arange(1200)[:, None] >= 900
+    assert row_of(rise, force=force, over=over).force_mean_n == 2.0
+    assert row_of(rise, force=force).force_mean_n > 10.0
+
+
+def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0, force=None, over=None):
     ticks = len(rise)
+    force = np.ones((ticks, 1, 3)) if force is None else force
+    over = np.zeros((ticks, 1), bool) if over is None else over
     phase = np.full((ticks, 1), Phase.HOLDING)
     phase[:50], phase[50:60], phase[60:100] = Phase.REACHING, Phase.CLOSING, Phase.LIFTING
     entered = np.full((1, len(Phase)), np.nan)
@@ -250,7 +281,7 @@ def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0):
     )
     progress = initial_progress((1,))._replace(success=jnp.array([success]))
     end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]))
-    trace = SimpleNamespace(phase=phase, force=np.ones((ticks, 1, 3)), rise=np.array(rise)[:, None])
+    trace = SimpleNamespace(phase=phase, force=force, rise=np.array(rise)[:, None], over=over)
     problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)))
     return grasp_rows(["box"], problem, end, trace, DT, hold_s)[0]
 

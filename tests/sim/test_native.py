@@ -11,7 +11,7 @@ import pytest
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.model import Piece
 from mjx_grasp.sim import scene as scene_module
-from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.native import NativePhysics, _World
 from mjx_grasp.sim.physics import (
     check_control_rate,
     finger_dofs,
@@ -116,6 +116,27 @@ def test_number_of_threads_changes_nothing(scene, starts):
     ctrl = closing_ctrl(scene, starts, ROWS)
     outcomes = [advance(NativePhysics(scene, threads=n), starts, ROWS, ctrl, 12) for n in (1, 3)]
     jax.tree.map(np.testing.assert_array_equal, *outcomes)
+
+
+def test_worlds_that_rest_are_not_stepped_and_change_nothing(scene, starts, native, monkeypatch):
+    ctrl = closing_ctrl(scene, starts, ROWS)
+    params, state = (
+        make_params(starts.object_index[ROWS], 0.8),
+        native.init(starts.qpos[ROWS], starts.ctrl[ROWS]),
+    )
+    stepped, step = [], _World.step
+
+    def noted(world, w, *given):
+        stepped.append(int(w))
+        step(world, w, *given)
+
+    monkeypatch.setattr(_World, "step", noted)
+    every = native.step(state, params, ctrl)
+    assert sorted(stepped) == [0, 1, 2]
+    stepped.clear()
+    some = jax.jit(native.step)(state, params, ctrl, None, jnp.array([True, False, True]))
+    assert sorted(stepped) == [0, 2]
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[::2], b[::2]), every, some)
 
 
 def test_it_takes_the_cores_that_it_may_use_and_no_others(scene, monkeypatch):

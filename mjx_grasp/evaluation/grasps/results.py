@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace
+from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspEnd, GraspProblem, Trace
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.pipeline.phases import Failure, Phase
@@ -21,9 +21,6 @@ from mjx_grasp.tasks.success import failure_classes
 OUTCOMES = ("success", "not_reached", "never_lifted", "slipped", "not_held", "hit")
 """Of a trial, exclusive; beside the classes of the closing task's judge, what never closed and what
 touched an obstacle. What was held and then fell before its trial's end is not held."""
-HELD_AT_S = 9.0
-"""Time from the start at which it is asked what is up: the length of an end-to-end episode
-(method §6) [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class GraspRow:
     lifted_s: float | None
     """until the object has risen by what counts as lifted [s]"""
     up_at_9s: bool
-    """whether the object is lifted `HELD_AT_S` after the start"""
+    """whether the object is lifted `LEAST_S` after the start"""
     tip_error_mm: tuple[float, ...] | None
     """thumb, index, middle: tips to their standoff targets at the handoff [mm]"""
     midpoint_mm: float | None
@@ -92,7 +89,8 @@ def grasp_rows(
         if outcome == "never_lifted" and not closed:
             outcome = "not_reached"
         lift = _first(phase[:, w], Phase.LIFTING, dt)
-        since = force[round(lift / dt) :, w] if lift is not None else force[:0, w]
+        until = int((~trace.over[:, w]).sum())
+        since = force[round(lift / dt) : until, w] if lift is not None else force[:0, w]
         peak = float(force[:, w].max())
         rows.append(
             GraspRow(
@@ -104,7 +102,7 @@ def grasp_rows(
                 lifted_s=round((int(lifted[:, w].argmax()) + 1) * dt, 3)
                 if lifted[:, w].any()
                 else None,
-                up_at_9s=bool(lifted[min(round(HELD_AT_S / dt), len(lifted)) - 1, w]),
+                up_at_9s=bool(lifted[min(round(LEAST_S / dt), len(lifted)) - 1, w]),
                 tip_error_mm=_millimetres(end.state.handoff.error[w]) if closed else None,
                 midpoint_mm=_millimetres(end.state.handoff.midpoint[w, None])[0]
                 if closed

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -42,8 +42,11 @@ from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_
 
 _SEGMENT = 10
 """Ticks between two looks for worlds that want new plans: the time that planning takes."""
-_LEAST_S = 9.0
+LEAST_S = 9.0
 """Time for which every trial runs: the length of an end-to-end episode (method §6) [s]."""
+
+
+Tree = TypeVar("Tree")
 
 
 class GraspProblem(NamedTuple):
@@ -76,6 +79,8 @@ class Trace(NamedTuple):
     """on each finger, by the simulator [N]"""
     felt: Float[Array, "t w f"]
     """the same estimated from joint torques, from the handoff on [N]"""
+    over: Bool[Array, "t w"]
+    """whether the trial had ended before; then all stays as it was"""
 
 
 class GraspEnd(NamedTuple):
@@ -125,7 +130,7 @@ def grasp_all(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[GraspEnd, Trace]:
-    """Grasps from home, until every trial has ended.
+    """Grasps from home, until every trial has ended; none goes on because another one does.
 
     Args:
         grasper: The controller.
@@ -176,13 +181,13 @@ def grasp_all(
     replans, parts = np.zeros(worlds, int), []
     longest = grasper.config.timeout_s + scenario.hold_s + 2.0
     for number in range(round(longest / dt / _SEGMENT)):
-        carry, part = _segment(grasper, physics, carry, params, known, given, base)
+        carry, part = _segment(grasper, physics, carry, params, known, given, base, scenario.hold_s)
         parts.append(jax.tree.map(np.asarray, part))
         progress(number * _SEGMENT * dt / longest)
-        late = (number + 1) * _SEGMENT * dt >= _LEAST_S
-        if late and np.all(_ended(carry.grasp, scenario.hold_s)):
+        over = np.asarray(_over(carry.grasp, scenario.hold_s))
+        if np.all(over):
             break
-        due = np.flatnonzero(carry.due)
+        due = np.flatnonzero(carry.due & ~over)
         if len(due):
             key = jax.random.fold_in(key, number)
             now = _seen(carry.track, carry.truth, given)
@@ -207,7 +212,7 @@ def _start(
     return jax.vmap(grasper.start)(measured, known, seen, ways)
 
 
-@partial(jax.jit, static_argnames=("grasper", "physics"))
+@partial(jax.jit, static_argnames=("grasper", "physics", "hold_s"))
 def _segment(
     grasper: Grasper,
     physics: NativePhysics,
@@ -216,13 +221,14 @@ def _segment(
     known: Known,
     given: Circumstances,
     base: Float[Array, " w"],
+    hold_s: float,
 ) -> tuple[_Carry, Trace]:
-    """Some ticks of all worlds."""
+    """Some ticks of all worlds whose trials are not over."""
     success, closer, dt = SuccessConfig(), grasper.closer, grasper.dt
     order = np.argsort(physics.scene.addresses.robot_ctrl)
 
     def tick(carry: _Carry, _: None) -> tuple[_Carry, Trace]:
-        before = carry.grasp.closing.closer.lifting
+        before, over = carry.grasp.closing.closer.lifting, _over(carry.grasp, hold_s)
         key, noise = jax.random.split(carry.key)
         tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
         seen = _seen(tracked, carry.truth, given)
@@ -234,29 +240,32 @@ def _segment(
         wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
         wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
         ctrl = done.target[:, order]
-        state, measured, truth = physics.step(carry.physics, params, ctrl, wrench)
+        state, measured, truth = physics.step(carry.physics, params, ctrl, wrench, ~over)
         here = in_palm(measured, truth)
         reference = jnp.where(before[:, None], carry.reference, here)
         lifting = grasp.closing.closer.lifting
         slip = jnp.where(lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
         rise = truth.object_pos[:, 2] - base
         judged = update_progress(carry.progress, rise, slip, success, dt)
-        felt = closer.forces(grasp.closing.closer, measured)
-        trace = Trace(
-            phase=grasp.phase,
-            qpos=state.qpos,
-            rise=rise,
-            tip_error=done.tip_error,
-            contacts=done.contacts.position,
-            touching=truth.tip_found,
-            observed=grasp.closing.closer.observed,
-            force=jnp.linalg.norm(truth.finger_force, axis=-1),
-            felt=jnp.linalg.norm(felt, axis=-1),
-        )
         due = carry.due | done.plans_due
-        after = _Carry(
+        went_on = _Carry(
             state, measured, truth, grasp, due, tracked, began, key, reference, judged
         )  # fmt: skip
+        after = _where(over, carry, went_on)
+        trace = Trace(
+            phase=after.grasp.phase,
+            qpos=after.physics.qpos,
+            rise=after.truth.object_pos[:, 2] - base,
+            tip_error=done.tip_error,
+            contacts=done.contacts.position,
+            touching=after.truth.tip_found,
+            observed=after.grasp.closing.closer.observed,
+            force=jnp.linalg.norm(after.truth.finger_force, axis=-1),
+            felt=jnp.linalg.norm(
+                closer.forces(after.grasp.closing.closer, after.measured), axis=-1
+            ),
+            over=over,
+        )
         return after, trace
 
     return jax.lax.scan(tick, carry, length=_SEGMENT)
@@ -276,18 +285,27 @@ def _seen(tracked: Track, truth: Truth, given: Circumstances) -> Seen:
     )
 
 
-def _ended(grasp: GraspState, hold_s: float) -> Bool[np.ndarray, " w"]:
-    held = np.asarray(grasp.clock - grasp.entered[:, Phase.HOLDING]) >= hold_s
-    phase = np.asarray(grasp.phase)
-    return (phase == Phase.FAILED) | ((phase == Phase.HOLDING) & held)
+def _over(grasp: GraspState, hold_s: float) -> Bool[Array, " w"]:
+    """Which trials are over: failed, or held for long enough, after the time that each one gets."""
+    held = grasp.clock - grasp.entered[:, Phase.HOLDING] >= hold_s
+    ended = (grasp.phase == Phase.FAILED) | ((grasp.phase == Phase.HOLDING) & held)
+    return ended & (grasp.clock >= LEAST_S - 1e-4)
+
+
+def _where(mask: Bool[Array | np.ndarray, " w"], first: Tree, other: Tree) -> Tree:
+    """World by world one or the other of two trees; what is of no world is the other's."""
+
+    def chosen(a: Array, b: Array) -> Array:
+        if not b.ndim:
+            return b
+        return jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(chosen, first, other)
 
 
 @partial(jax.jit, static_argnames="grasper")
 def _adopted(
-    grasper: Grasper, state: GraspState, ways: Ways, mask: Bool[np.ndarray, " w"]
+    grasper: Grasper, state: GraspState, ways: Ways, mask: Bool[Array | np.ndarray, " w"]
 ) -> GraspState:
     """New plans for the masked worlds."""
-    new = jax.vmap(grasper.adopt)(state, ways)
-    return jax.tree.map(
-        lambda a, b: jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, state
-    )
+    return _where(mask, jax.vmap(grasper.adopt)(state, ways), state)

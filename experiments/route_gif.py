@@ -82,7 +82,6 @@ def main(config: RouteConfig) -> None:
                 instruction=config.instruction,
                 scenario=config.scenario,
                 objects_dir=config.objects_dir,
-                controller="grip",
                 seed=seed,
                 out=Path(folder) / str(seed),
             )

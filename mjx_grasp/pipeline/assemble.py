@@ -28,7 +28,7 @@ from mjx_grasp.reaching.presets import ReachPreset, reach_preset
 from mjx_grasp.robot.spec import HandSpec, RobotSpec
 
 CANDIDATES = 256
-"""Of a heatmap, the best, among which reaching chooses."""
+"""Of a heatmap, among which reaching chooses."""
 STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
 STEERED_LEAST = 32

@@ -17,6 +17,7 @@ from mjx_grasp.heatmap.steering import Heatmap
 
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float32) - 1.0
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+"""To the faces, edges and corners of a cube: 26, with a sign, as the thumb's side matters."""
 
 
 class Candidates(NamedTuple):

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.journal import Journal
 from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.spread import Spread, unspread
@@ -63,6 +63,8 @@ class ComparedConfig(Spread):
     episodes: Count = 16
     """of each object under each condition [-]"""
     seed: Seed = 0
+    known: Path | None = None
+    """results of another policy, whose squeezes and grip are taken as they are"""
 
 
 class Contestant(NamedTuple):
@@ -132,9 +134,42 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
         | {f"squeeze {f:g} N": gripping(GripConfig(force=f)) for f in config.squeezes}
         | {"grip": gripping(REACTING)}
     )
+    if config.known is not None and not record["controllers"]:
+        alone = [name for name, who in contestants.items() if who.act is None]
+        take_known(record, config.known, alone, what)
     objects = load_objects(config.objects, config.objects_dir)
     states = states_of(stored, names, "evaluation")
     return Comparison(record, contestants, names, objects, robot, states)
+
+
+def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: str) -> None:
+    """Puts what an earlier file has of controllers without a policy into a record, with its origin.
+
+    Args:
+        record: A results file that has nothing yet.
+        path: The earlier file.
+        names: The controllers.
+        what: Such files are called in messages.
+
+    Raises:
+        FileError: There is no such file, or it is of other trials.
+    """
+    earlier = read_json(path, what)
+    # The states are compared by what is in them.
+    own = {"out", "policy", "budgets", "squeezes", "known", "handoffs", "objects_dir"}
+    states = (earlier.get("sha256", {}).get("handoffs"), record["sha256"]["handoffs"])
+    same = {"schema": (earlier.get("schema"), record["schema"]), "states (sha256)": states}
+    same |= {
+        name: (earlier.get("settings", {}).get(name), value)
+        for name, value in record["settings"].items()
+        if name not in own
+    }
+    for name, (found, expected) in same.items():
+        if found != expected:
+            raise FileError(path, f"{name} {found!r}", f"{expected!r}")
+    rows = earlier["controllers"]
+    record["controllers"] |= {name: rows[name] for name in names if name in rows}
+    record["provenance"]["known"] = earlier["provenance"]
 
 
 def journal_of(config: ComparedConfig, found: Comparison) -> Journal:

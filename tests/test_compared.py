@@ -1,0 +1,76 @@
+"""What comparisons take from an earlier file: controllers without a policy, of the same trials."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjx_grasp.errors import FileError
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+
+EARLIER: dict[str, Any] = {
+    "schema": "s/1",
+    "settings": {"episodes": 4, "seed": 0, "policy": "old.npz", "budgets": [3.0]},
+    "sha256": {"handoffs": "abc", "policy": "old"},
+    "controllers": {"policy, budget 3 N": ["old policy"], "squeeze 3 N": ["s"], "grip": ["g"]},
+    "provenance": {"git": "earlier"},
+}
+
+
+def asked() -> dict[str, Any]:
+    """A record that has nothing yet, of another policy and budgets."""
+    record = copy.deepcopy(EARLIER) | {"controllers": {}, "provenance": {"git": "now"}}
+    record["settings"] |= {"policy": None, "budgets": [8.0], "known": "earlier.json"}
+    record["sha256"]["policy"] = "new"
+    return record
+
+
+@pytest.fixture
+def take_known(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """The function of the scripts."""
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+    taken: Callable[..., None] = importlib.import_module("compared").take_known
+    return taken
+
+
+@pytest.fixture
+def earlier(tmp_path: Path) -> Path:
+    """A file of earlier results."""
+    path = tmp_path / "earlier.json"
+    path.write_text(json.dumps(EARLIER))
+    return path
+
+
+def test_controllers_without_a_policy_are_taken_with_their_origin(
+    take_known: Callable[..., None], earlier: Path
+) -> None:
+    record = asked()
+    take_known(record, earlier, ["squeeze 3 N", "squeeze 5 N", "grip"], "results")
+    assert record["controllers"] == {"squeeze 3 N": ["s"], "grip": ["g"]}
+    assert record["provenance"] == {"git": "now", "known": {"git": "earlier"}}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"settings": {"episodes": 5}}, "episodes 4"),
+        ({"settings": {"seed": 1}}, "seed 0"),
+        ({"sha256": {"handoffs": "def"}}, "'abc'"),
+    ],
+)
+def test_other_trials_are_refused(
+    take_known: Callable[..., None], earlier: Path, change: dict[str, Any], named: str
+) -> None:
+    record = asked()
+    for part, values in change.items():
+        record[part] |= values
+    with pytest.raises(FileError, match=named):
+        take_known(record, earlier, ["squeeze 3 N"], "results")
+    assert record["controllers"] == {}

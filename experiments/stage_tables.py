@@ -161,7 +161,7 @@ def whole_grasps(paths: Sequence[Path]) -> str:
     Args:
         paths: As of `scenarios`.
     """
-    found = _of_most_trials(paths)
+    found = of_most_trials(paths)
     if NOMINAL not in found:
         return NOTHING
     record, nominal = found[NOMINAL]
@@ -220,7 +220,7 @@ def scenarios(paths: Sequence[Path]) -> str:
         paths: Results files; a scenario that several have is taken from where it has most trials.
     """
     lines = []
-    for name, (_, result) in _of_most_trials(paths).items():
+    for name, (_, result) in of_most_trials(paths).items():
         s = result["all"]
         what = f"{name.replace('_', ' ')}: {result['settings']['description']}"
         lines.append((what, *_grasp_cells(s), *_failure_cells(s), str(s["hit"])))
@@ -228,7 +228,7 @@ def scenarios(paths: Sequence[Path]) -> str:
     return markdown(Table("Scenarios", header, tuple(lines))) if lines else NOTHING
 
 
-def _of_most_trials(paths: Sequence[Path]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+def of_most_trials(paths: Sequence[Path]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Of each scenario the file with most trials of it, and what that says of it."""
     found: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
     for d in filter(None, map(read, paths)):

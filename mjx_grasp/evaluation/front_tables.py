@@ -94,7 +94,8 @@ def front_panels(groups: Groups) -> dict[str, Front]:
 def equal_force_table(groups: Groups) -> Table:
     """Policies and grips against the baselines' fronts at the force that they took themselves.
 
-    The fronts are joined by straight lines; the intervals draw the start states anew.
+    The fronts are joined by straight lines, from no success at no force on, and stay level beyond
+    the hardest setting; the intervals draw the start states anew.
     """
     rows = []
     for condition, front in _all(groups):

@@ -158,6 +158,36 @@ def choice(folder: Path) -> str:
     return markdown(Table("Choice", header, tuple(lines), names=2))
 
 
+def newcomers(folder: Path) -> str:
+    """Short trainings on one object, and the policy that they began with, from the same trials.
+
+    Args:
+        folder: The results files; theirs are in its `newcomer`, a policy under one budget each.
+    """
+    paths = sorted((folder / "newcomer").glob("*.json"))
+    if not paths:
+        return NOTHING
+    trained = {row["run"]: row for row in run_rows(folder / "training_runs.json")}
+    found = {}
+    for path in paths:
+        ((column,),) = read_groups([path]).values()
+        (budget,) = {row.force_budget_n for row in column.rows.values()}
+        found[named_run(path) or "", budget] = column
+    budgets = sorted({budget for _, budget in found})
+    lines = []
+    for run in sorted({run for run, _ in found}):
+        row, cells = trained.get(run), []
+        for column in (found[run, budget] for budget in budgets):
+            peaks = [f"{row.force_peak_p99_n:.0f}" for row in column.rows.values()]
+            cells += [f"{column.mean()[0]:.1f} at {column.forces()[0]:.2f}", ", ".join(peaks)]
+        flags, seed = (_flags(row), str(row["seed"])) if row else ("as it begins", "")
+        lines.append((run or "none", flags, seed, *cells))
+    header = ("run", "its own flags", "seed")
+    for budget in budgets:
+        header += (f"budget {budget:g} N: success % at N", "peak N, 99th percentile")
+    return markdown(Table("Newcomer's trainings", header, tuple(lines), names=2))
+
+
 def _ease(condition: Condition) -> tuple[float, float]:
     return -condition.friction, condition.offset_mm
 
@@ -170,7 +200,7 @@ def _flags(row: dict[str, Any]) -> str:
     return ", ".join(f"`{part}`" for part in own)
 
 
-_OF_THEIR_OWN = ("seeds", "choice", "end_to_end")
+_OF_THEIR_OWN = ("seeds", "choice", "newcomer", "end_to_end")
 """folders of results whose policies are named where they are shown"""
 
 

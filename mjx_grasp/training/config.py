@@ -128,7 +128,8 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="cpu",
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
-            task=FEELING,
+            # The shipped policy lifts nearly all of it: what is left to win is a softer grasp.
+            task=replace(FEELING, reward=replace(FEELING.reward, hard=-1.0)),
             noise=VARIED,
             objects=("rubiks_cube",),
             # Fewer are learnt by heart: what it sees anew it lifts less often.
@@ -139,11 +140,11 @@ def settings_of(preset: str) -> TrainConfig:
             ppo=PPOConfig(
                 worlds=128,
                 unroll=128,
-                iterations=30,
+                iterations=50,
                 critic_first=0.15,
                 averaged=0.4,
-                learning_rate=1e-4,
-                action_std=0.08,
+                learning_rate=3e-4,
+                action_std=0.12,
                 critic_rate=3e-4,
                 value_clip=0.5,
             ),

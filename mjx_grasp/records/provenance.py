@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 # What commands make, tables and pictures: no part of what made them.
-_RESULTS = (":(exclude)experiments/results", ":(exclude)docs")
+_MADE = ("experiments/results", "docs", "README.md", "experiments/README.md")
+_RESULTS = tuple(f":(exclude){path}" for path in _MADE)
 # New files there take part without being named: modules, and what a package ships.
 _SOURCES = ("*.py", "mjx_grasp", "assets")
 _PACKAGES = ("mjx_grasp", "jax", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy", "trimesh")
@@ -54,9 +55,9 @@ def git_revision() -> str:
     """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one.
 
     In a copy it is what `make revision` wrote, also where the copy has a repository of its own that
-    does not know that commit. Results do not count as changes: the one that is being made lies
-    there while it is made. Nor do new files count that are no part of the package or its scripts,
-    such as what commands wrote into the repository.
+    does not know that commit. Results do not count as changes, nor do the READMEs that show them:
+    the one that is being made lies there while it is made. Nor do new files count that are no part
+    of the package or its scripts, such as what commands wrote into the repository.
     """
 
     def git(*args: str) -> str:

@@ -32,13 +32,15 @@ def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatc
     monkeypatch.setattr(module, "_root", lambda: tmp_path)
     git(tmp_path, "init", "-q")
     (tmp_path / "a").write_text("1")
-    git(tmp_path, "add", "a")
+    (tmp_path / "README.md").write_text("no tables yet")
+    git(tmp_path, "add", "a", "README.md")
     git(tmp_path, "commit", "-qm", "first")
     clean = module.git_revision()
     assert len(clean) == 40 and not clean.endswith("-dirty")
     (tmp_path / "experiments" / "results").mkdir(parents=True)
     (tmp_path / "experiments" / "results" / "five.json").write_text("{}")
     (tmp_path / "handoffs.npz").write_text("what a command wrote into the repository")
+    (tmp_path / "README.md").write_text("tables of results")
     assert module.git_revision() == clean
     for new in ("own.py", "mjx_grasp/own.yaml", "assets/own.npz", "experiments/own.py"):
         path = tmp_path / new

@@ -1,7 +1,7 @@
 """Policy, squeezes and grip from the same starts: what the scripts that compare them share.
 
 Results keep one entry per controller. A file of the same settings, inputs and revision of the code
-is gone on with, so that an interrupted run loses only what it was at.
+is gone on with, unless there are uncommitted changes: an interrupted run loses only what it was at.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxtyping import Float
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.journal import Journal
+from mjx_grasp.evaluation.journal import Journal, goes_on
 from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import (
@@ -107,17 +107,15 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     policy_file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     policy, stored = load_controller(policy_file, robot), load_handoffs(handoffs, robot=robot)
-    record: dict[str, Any] = {
+    identity = {
         "schema": schema,
         "settings": to_record(unspread(config)),
         "sha256": file_digests(policy=policy_file, handoffs=handoffs),
-        "controllers": {},
-        "provenance": made,
     }
+    record: dict[str, Any] = identity | {"controllers": {}, "provenance": made}
     if config.out.exists():
         before = read_json(config.out, what)
-        same = all(before.get(n) == record[n] for n in ("schema", "settings", "sha256"))
-        if same and before["provenance"]["git"] == made["git"]:
+        if goes_on(before, identity, made["git"]):
             record = before
     names, _ = eligible([asked.name for asked in find_objects(config.objects)], stored)
     if not names:
@@ -173,10 +171,10 @@ def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: s
 
 
 def journal_of(config: ComparedConfig, found: Comparison) -> Journal:
-    """Where finished trials are until their turn in the file comes."""
+    """Where finished conditions are until their turn in the file comes."""
     same = ("schema", "settings", "sha256")
     identity = {name: found.record[name] for name in same}
-    return Journal(config.out, identity | {"git": found.record["provenance"]["git"]})
+    return Journal(config.out, identity, found.record["provenance"]["git"])
 
 
 class Runner:

@@ -27,7 +27,7 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.journal import Journal, journaled
+from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
 from mjx_grasp.evaluation.results import ResultRow, read_results, row_from_record, write_results
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.spread import Spread, unspread
@@ -209,8 +209,7 @@ def before(
     if not config.out.exists():
         return [], made, {}
     kept = read_results(config.out)
-    same = all(kept.extra.get(name) == value for name, value in made_of.items())
-    if not same or kept.provenance["git"] != made["git"]:
+    if not goes_on(kept.extra | {"provenance": kept.provenance}, made_of, made["git"]):
         return [], made, {}
     counted = {name: int(kept.extra[name]) for name in incidents(()) if name in kept.extra}
     return list(kept.rows), kept.provenance, counted
@@ -274,9 +273,13 @@ def main(config: ComparisonConfig) -> None:
         made_of["known"] = found.origin
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
-    new = [each for each in asked[finished:] if each not in known]
+    new = [
+        (f"controller {k}", each)
+        for k, each in enumerate(asked)
+        if k >= finished and each not in known
+    ]
     setup = (lambda: own) if config.alone else partial(_load, config)
-    journal = Journal(config.out, made_of | {"git": made["git"]})
+    journal = Journal(config.out, made_of, made["git"])
     results = journaled(config, _evaluated, new, setup, journal)
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=finished)

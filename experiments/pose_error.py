@@ -69,7 +69,7 @@ def main(config: PoseErrorConfig) -> None:
     found = compared(config, SCHEMA, _WHAT)
     done = found.record["controllers"]
     left = [name for name in found.contestants if name not in done]
-    cells = [(name, *condition) for name in left for condition in grid]
+    cells = [(f"{name}, {at}", (name, at, noise)) for name in left for at, noise in grid]
     journal = journal_of(config, found)
     results = journaled(config, _rows, cells, partial(_runner, config), journal)
     with counting_progress(Console(stderr=True)) as bar:

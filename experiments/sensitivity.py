@@ -98,7 +98,11 @@ def main(config: SensitivityConfig) -> None:
         for factor in asked
         if factor not in done.get(name, {})
     ]
-    cells = [(name, factor, value) for name, factor in left for value in asked[factor]]
+    cells = [
+        (f"{name}, {factor} {value}", (name, factor, value))
+        for name, factor in left
+        for value in asked[factor]
+    ]
     journal = journal_of(config, found)
     setup = functools.partial(Runners, config)
     results = journaled(config, Runners.rows, cells, setup, journal)

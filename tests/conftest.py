@@ -60,6 +60,12 @@ def pytest_collection_modifyitems(items):
     items.sort(key=place)
 
 
+@pytest.fixture
+def committed(monkeypatch):
+    """A checkout without uncommitted changes: what was begun in it is gone on with."""
+    monkeypatch.setattr("mjx_grasp.records.provenance.git_revision", lambda: "abc")
+
+
 @pytest.fixture(scope="session")
 def robot():
     from mjx_grasp.robot.spec import load_robot

@@ -18,7 +18,7 @@ NAMES = ["apple", "foam_brick"]
 
 
 @pytest.fixture(params=[False, True], ids=["no budget", "budget"])
-def script(monkeypatch, request):
+def script(monkeypatch, request, committed):
     """The module, with two objects that are none and a count of what was run."""
     monkeypatch.syspath_prepend(str(EXPERIMENTS))
     module = importlib.import_module("evaluate_controllers")

@@ -316,7 +316,9 @@ def test_the_table_and_the_picture_of_pose_errors(tmp_path, monkeypatch):
     assert Image.open(tmp_path / "pose_error.png").width > 400
 
 
-def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_path, monkeypatch):
+def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(
+    tmp_path, monkeypatch, committed
+):
     """A controller that is in the file is not run again."""
     monkeypatch.syspath_prepend(ROOT / "experiments")
     pose_error, ran = script("pose_error"), []
@@ -348,7 +350,7 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(tmp_
 
 
 @pytest.fixture
-def sensitivity(tmp_path, monkeypatch):
+def sensitivity(tmp_path, monkeypatch, committed):
     """The script with trials that are only noted, and settings with few values."""
     monkeypatch.syspath_prepend(ROOT / "experiments")
     module, noted = script("sensitivity"), []

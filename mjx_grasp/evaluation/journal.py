@@ -1,7 +1,7 @@
-"""What shared work has done so far, line by line beside its results file.
+"""What work has done so far, line by line beside its results file.
 
-Jobs end in any order, and a results file has one. What is done before its turn is kept here, so
-that a run which is killed loses nothing that was finished.
+A results file holds what is whole, in its order; jobs are parts of that and end in any order. What
+is done before its turn is kept here, so that a run which is killed loses nothing that was finished.
 """
 
 from __future__ import annotations
@@ -14,9 +14,23 @@ from typing import Any, TypeVar
 
 from mjx_grasp.evaluation.spread import Spread, as_done
 from mjx_grasp.records.atomic import replacing
+from mjx_grasp.records.provenance import is_committed
 
 Context = TypeVar("Context")
 Job = TypeVar("Job")
+
+
+def goes_on(before: dict[str, Any], identity: dict[str, Any], git: str) -> bool:
+    """Whether what a results file holds is of the same work, and need not be done again.
+
+    Args:
+        before: The file.
+        identity: What it has to hold of settings and inputs.
+        git: Revision of the code now. With uncommitted changes it says nothing of the code: they
+            may be others than before.
+    """
+    same = all(before.get(name) == value for name, value in identity.items())
+    return same and before["provenance"]["git"] == git and is_committed(git)
 
 
 class Journal:
@@ -24,40 +38,41 @@ class Journal:
 
     Args:
         results: The results file; the journal is the hidden file `.NAME.begun` beside it.
-        identity: What the results depend on: settings, inputs, revision. A journal of another
-            one is begun anew.
+        identity: What the results depend on: settings, inputs.
+        git: Revision of the code. A journal of another one, or of another identity, is begun anew,
+            and so is one of uncommitted changes.
     """
 
-    def __init__(self, results: Path, identity: dict[str, Any]):
+    def __init__(self, results: Path, identity: dict[str, Any], git: str):
         self.path = results.with_name(f".{results.name}.begun")
-        self._identity = json.dumps(identity, sort_keys=True, default=str)
-        self.done: dict[str, Any] = dict(self._kept())
-        """of each finished job, by its text, what it gave"""
+        self._first = json.dumps(identity | {"git": git}, sort_keys=True, default=str)
+        self.done: dict[str, Any] = dict(self._kept()) if is_committed(git) else {}
+        """of each finished job, by its name, what it gave"""
 
     def _kept(self) -> Iterator[tuple[str, Any]]:
         if not self.path.exists():
             return
         first, *lines = self.path.read_text().split("\n")
-        if first != self._identity:
+        if first != self._first:
             return
         for line in lines:
             try:
-                text, result = json.loads(line)
+                name, result = json.loads(line)
             except ValueError:  # the line that it was at when it was killed
                 return
-            yield text, result
+            yield name, result
 
     def open(self) -> None:
         """Writes what is kept, without a line that is incomplete; only then can be added to it."""
         with replacing(self.path) as temporary:
             lines = (json.dumps(item) for item in self.done.items())
-            temporary.write_text("".join(f"{line}\n" for line in (self._identity, *lines)))
+            temporary.write_text("".join(f"{line}\n" for line in (self._first, *lines)))
 
-    def add(self, text: str, result: Any) -> None:
+    def add(self, name: str, result: Any) -> None:
         """Keeps what a job gave, for good before it returns."""
-        self.done[text] = result
+        self.done[name] = result
         with self.path.open("a") as file:
-            file.write(json.dumps([text, result]) + "\n")
+            file.write(json.dumps([name, result]) + "\n")
             file.flush()
             os.fsync(file.fileno())
 
@@ -69,7 +84,7 @@ class Journal:
 def journaled(
     over: Spread,
     work: Callable[[Context, Job], Any],
-    jobs: Sequence[Job],
+    jobs: Sequence[tuple[str, Job]],
     setup: Callable[[], Context],
     journal: Journal,
 ) -> Iterator[Any]:
@@ -78,23 +93,23 @@ def journaled(
     Args:
         over: Who shares them.
         work: Does one job, with what `setup` has made; what it gives has to be JSON.
-        jobs: One after the other; told apart by their `repr`.
+        jobs: One after the other, each with its name. What has the same name is the same.
         setup: Called once in every process before its first job.
         journal: Where results are until it is closed.
     """
-    texts = [repr(job) for job in jobs]
-    left = [k for k, text in enumerate(texts) if text not in journal.done]
+    left = {name: job for name, job in jobs if name not in journal.done}
     if left:
         journal.open()
     given = 0
 
     def ready() -> Iterator[Any]:
         nonlocal given
-        while given < len(texts) and texts[given] in journal.done:
+        while given < len(jobs) and jobs[given][0] in journal.done:
             given += 1
-            yield journal.done[texts[given - 1]]
+            yield journal.done[jobs[given - 1][0]]
 
     yield from ready()
-    for k, result in as_done(over, work, [jobs[k] for k in left], setup):
-        journal.add(texts[left[k]], result)
+    names = list(left)
+    for k, result in as_done(over, work, list(left.values()), setup):
+        journal.add(names[k], result)
         yield from ready()

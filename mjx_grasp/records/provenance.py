@@ -15,6 +15,7 @@ from typing import Any
 # What commands make, tables and pictures: no part of what made them.
 _MADE = ("experiments/results", "docs", "README.md", "experiments/README.md")
 _RESULTS = tuple(f":(exclude){path}" for path in _MADE)
+_DIRTY = "-dirty"
 # New files there take part without being named: modules, and what a package ships.
 _SOURCES = ("*.py", "mjx_grasp", "assets")
 _PACKAGES = ("mjx_grasp", "jax", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy", "trimesh")
@@ -75,10 +76,15 @@ def git_revision() -> str:
         return copied
     try:
         if copied != "unknown":
-            git("cat-file", "-e", copied.removesuffix("-dirty") + "^{commit}")
+            git("cat-file", "-e", copied.removesuffix(_DIRTY) + "^{commit}")
     except subprocess.CalledProcessError:
         return copied
-    return revision + ("-dirty" if changed or new else "")
+    return revision + (_DIRTY if changed or new else "")
+
+
+def is_committed(revision: str) -> bool:
+    """Whether a revision is all of the code: uncommitted changes are not known by it."""
+    return not revision.endswith(_DIRTY)
 
 
 def file_digests(**paths: Path | None) -> dict[str, str]:

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from mjx_grasp.evaluation import journal as module
-from mjx_grasp.evaluation.journal import Journal, journaled
+from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
 from mjx_grasp.evaluation.spread import Spread
 
 
@@ -32,7 +32,7 @@ def backwards(monkeypatch):
     monkeypatch.setattr(module, "as_done", as_done)
 
 
-def _run(results, jobs, until=None, identity=None):
+def _run(results, jobs, until=None, identity=None, git="abc"):
     """Results of jobs, and which of them were done; stopped where it gets to a job."""
     done = []
 
@@ -42,9 +42,10 @@ def _run(results, jobs, until=None, identity=None):
         done.append(job)
         return {"twice": 2 * job, "context": context}
 
-    journal, got = Journal(results, identity or {"seed": 1}), []
+    journal, got = Journal(results, identity or {"seed": 1}, git), []
+    named = [(f"job {job}", job) for job in jobs]
     try:
-        for result in journaled(Spread(), work, jobs, lambda: "set up", journal):
+        for result in journaled(Spread(), work, named, lambda: "set up", journal):
             got.append(result["twice"])
         journal.close()
     except KeyboardInterrupt:
@@ -65,15 +66,17 @@ def test_results_come_in_order_as_soon_as_they_can(results):
     got, done = _run(results, [3, 1, 2], until=2)
     assert got == [6, 2] and done == [3, 1]
     got, done = _run(results, [5, 1, 2, 3])
-    assert got == [10, 2, 4, 6] and done == [5, 2], (
-        "told apart by what they are, not by their place"
-    )
+    assert got == [10, 2, 4, 6] and done == [5, 2], "told apart by their names, not by their place"
+
+
+def test_what_has_the_same_name_is_done_once(results):
+    assert _run(results, [1, 2, 1]) == ([2, 4, 2], [1, 2])
 
 
 @pytest.mark.parametrize("cut", range(1, 12))
 def test_a_line_that_was_being_written_counts_for_nothing(results, cut):
     _run(results, [1, 2, 3], until=3)
-    path = Journal(results, {"seed": 1}).path
+    path = Journal(results, {"seed": 1}, "abc").path
     path.write_bytes(path.read_bytes()[:-cut])
     got, done = _run(results, [1, 2, 3], until=3)
     assert got == [2, 4] and done == ([] if cut == 1 else [2])
@@ -81,15 +84,32 @@ def test_a_line_that_was_being_written_counts_for_nothing(results, cut):
     assert got == [2, 4, 6] and done == [3], "what came after it is whole"
 
 
-def test_another_runs_journal_is_not_used(results):
+@pytest.mark.parametrize("other", [{"identity": {"seed": 2}}, {"git": "abd"}])
+def test_another_runs_journal_is_not_used(results, other):
     _run(results, [1, 2, 3], until=3)
-    assert _run(results, [1, 2, 3], identity={"seed": 2}) == ([2, 4, 6], [1, 2, 3])
+    assert _run(results, [1, 2, 3], **other) == ([2, 4, 6], [1, 2, 3])
+
+
+def test_what_uncommitted_code_has_done_is_done_again(results):
+    """It may be other code than before."""
+    _run(results, [1, 2, 3], until=3, git="abc-dirty")
+    assert _run(results, [1, 2, 3], git="abc-dirty") == ([2, 4, 6], [1, 2, 3])
+
+
+def test_a_file_of_other_settings_or_code_is_not_gone_on_with():
+    before = {"config": {"seed": 1}, "sha256": {}, "rows": [], "provenance": {"git": "abc"}}
+    same = {"config": {"seed": 1}, "sha256": {}}
+    assert goes_on(before, same, "abc")
+    assert not goes_on(before, same | {"config": {"seed": 2}}, "abc")
+    assert not goes_on(before, same | {"known": {}}, "abc")
+    assert not goes_on(before, same, "abd")
+    assert not goes_on(before | {"provenance": {"git": "abc-dirty"}}, same, "abc-dirty")
 
 
 def test_what_is_not_json_is_refused_at_once(results):
-    journal = Journal(results, {})
+    journal = Journal(results, {}, "abc")
     with pytest.raises(TypeError, match="JSON"):
-        next(journaled(Spread(), lambda c, j: object(), [1], lambda: None, journal))
+        next(journaled(Spread(), lambda c, j: object(), [("one", 1)], lambda: None, journal))
 
 
 def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):
@@ -109,8 +129,8 @@ def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):
                 print(job, flush=True)
                 return job
 
-            journal = Journal(Path("out.json"), {})
-            print(list(journaled(Spread(), work, range(8), lambda: None, journal)), flush=True)
+            journal, jobs = Journal(Path("out.json"), {}, "abc"), [(str(k), k) for k in range(8)]
+            print(list(journaled(Spread(), work, jobs, lambda: None, journal)), flush=True)
             """
         )
     )

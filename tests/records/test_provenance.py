@@ -36,7 +36,7 @@ def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatc
     git(tmp_path, "add", "a", "README.md")
     git(tmp_path, "commit", "-qm", "first")
     clean = module.git_revision()
-    assert len(clean) == 40 and not clean.endswith("-dirty")
+    assert len(clean) == 40 and module.is_committed(clean)
     (tmp_path / "experiments" / "results").mkdir(parents=True)
     (tmp_path / "experiments" / "results" / "five.json").write_text("{}")
     (tmp_path / "handoffs.npz").write_text("what a command wrote into the repository")
@@ -50,6 +50,7 @@ def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatc
         path.unlink()
     (tmp_path / "a").write_text("2")
     assert module.git_revision() == clean + "-dirty"
+    assert not module.is_committed(clean + "-dirty")
 
 
 def test_revision_outside_a_checkout_is_the_stamp_or_unknown(tmp_path, monkeypatch):

@@ -14,8 +14,8 @@ that an interrupted run goes on; `--processes N` shares the blocks of trials.
 
 from __future__ import annotations
 
+import json
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -31,13 +31,14 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, CloserConfig, GripConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps.blocks import Begun, Block, BlockResult
+from mjx_grasp.evaluation.grasps.blocks import Block, joined
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
-from mjx_grasp.evaluation.spread import Spread, as_done, unspread
+from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
+from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.config import GrasperConfig
@@ -199,26 +200,21 @@ def about(variant: Variant, scenario: Scenario, objects: Sequence[ObjectModel]) 
     return {"changes": changes, "settings": to_record(scenario), "meshes": meshes}
 
 
-def kept(
-    path: Path, header: dict[str, Any], made: dict[str, Any], console: Console
-) -> tuple[dict[str, dict[str, Any]], Begun]:
-    """What a run with the same settings, files and revision has finished, and what it has begun.
+def kept(path: Path, header: dict[str, Any], git: str, console: Console) -> dict[str, Any]:
+    """What a run with the same settings, files and revision has finished, by variant and scenario.
 
     Raises:
         FileError: The file is another one's.
     """
     if not path.exists():
-        return {}, Begun()
+        return {}
     before = read_json(path, "results of this script")
     if before.get("schema") != SCHEMA:
         raise FileError(path, f"schema {before.get('schema')!r}", f"none, or {SCHEMA}")
-    same = all(before.get(name) == value for name, value in header.items())
-    # Changes that are not committed may be others than before.
-    same = same and before["provenance"]["git"] == made["git"] and "dirty" not in made["git"]
-    if not same:
+    if not goes_on(before, header, git):
         console.print(f"{path}: of other settings, files or code; begun anew")
-        return {}, Begun()
-    return before["results"], Begun(before.get("begun"))
+        return {}
+    return before["results"]
 
 
 class Systems:
@@ -255,12 +251,10 @@ class Systems:
             raise InputError("--scenarios", scenario.approach, free)
         self.makers.objects(scenario)
 
-    def run(self, job: tuple[str, Scenario, Block]) -> BlockResult:
+    def block(self, job: tuple[str, Scenario, Block]) -> dict[str, Any]:
         """A block of a variant's trials under a scenario."""
         name, scenario, block = job
-        started = time.perf_counter()
-        rows = self.makers.run(scenario, self._make[self.of[name]], block, self._progress)
-        return BlockResult(rows, time.perf_counter() - started)
+        return self.makers.block(scenario, self._make[self.of[name]], block, self._progress)
 
 
 def main(config: PipelineAblationConfig) -> None:
@@ -280,7 +274,7 @@ def main(config: PipelineAblationConfig) -> None:
             systems.check(name, scenario)
         asked = {k: v for k, v in to_record(unspread(config)).items() if k not in _ASKED}
         header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=systems.file)}
-        results, begun = kept(config.out, header, made, console)
+        results = kept(config.out, header, made["git"], console)
         by = {
             (name, at): about(VARIANTS[name], scenario, systems.makers.objects(scenario))
             for (name, at), scenario in given.items()
@@ -290,31 +284,31 @@ def main(config: PipelineAblationConfig) -> None:
             found = results.get(name, {}).get(at, {})
             return all(found.get(what) == value for what, value in by[name, at].items())
 
-        blocks = systems.makers.blocks()
-        left = [
-            (pair, block)
-            for pair in given
-            if not is_done(*pair)
-            for block in begun.left(", ".join(pair), by[pair], blocks)
+        blocks, left = systems.makers.blocks(), [pair for pair in given if not is_done(*pair)]
+        jobs = [
+            (json.dumps([*pair, by[pair], block.number]), (pair[0], given[pair], block))
+            for pair in left
+            for block in blocks
         ]
+        journal = Journal(config.out, header, made["git"])
         runs = bar.add_task("blocks of trials", total=len(given) * len(blocks))
-        bar.update(runs, completed=len(given) * len(blocks) - len(left))
+        bar.update(runs, completed=len(given) * len(blocks) - len(jobs))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
-        jobs = [(pair[0], given[pair], block) for pair, block in left]
-        names = [", ".join(pair) for pair, _ in left]
-        bar.update(one, description=names[0] if names else "")
-        for k, found in as_done(config, Systems.run, jobs, setup):
-            (name, at), block = left[k]
-            if whole := begun.add(names[k], by[name, at], blocks, block, found):
-                whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
-                results.setdefault(name, {})[at] = whole
+        done = journaled(config, Systems.block, jobs, setup, journal)
+        for name, at in left:
+            parts = []
+            for _ in blocks:
+                bar.reset(one, description=f"{name}, {at}")
+                parts.append(next(done))
+                bar.update(runs, advance=1)
+            whole = by[name, at] | joined(parts)
+            whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
+            results.setdefault(name, {})[at] = whole
             ordered = {name: results[name] for name in VARIANTS if name in results}
             says = {name: VARIANTS[name].says for name in ordered}
             content = header | {"variants": says, "results": ordered, "provenance": made}
-            content |= {"begun": begun.record} if begun.record else {}
             write_json(config.out, content)
-            bar.update(runs, advance=1)
-            bar.reset(one, description=names[min(k + 1, len(names) - 1)])
+    journal.close()
     Console().print(scenario_table({f"{n}, {at}": results[n][at] for n, at in given}))
     console.print(f"written: {config.out}")
 

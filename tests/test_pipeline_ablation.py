@@ -158,14 +158,33 @@ def test_a_variant_that_was_cut_short_loses_no_block_of_trials(quick):
     quick.after.runs = 2
     with pytest.raises(KeyboardInterrupt):
         quick.main(config)
-    left = json.loads(config.out.read_text())
-    assert left["results"] == {} and len(left["begun"]["full, nominal"]["blocks"]) == 2
+    assert not config.out.exists(), "only what is whole is a result"
     quick.after.runs = None
-    quick.main(config)
-    assert [ran[-1].number for ran in quick.ran] == [0, 1, 2]
+    quick.main(replace(config, variants=("full", "grip")))
+    assert [ran[-1].number for ran in quick.ran] == [0, 1, 2, 0, 1, 2]
     assert len({ran[-1].seed for ran in quick.ran}) == 3
     found = json.loads(config.out.read_text())
-    assert "begun" not in found and len(found["results"]["full"]["nominal"]["rows"]) == 6
+    assert len(found["results"]["full"]["nominal"]["rows"]) == 6
+    assert list(config.out.parent.iterdir()) == [config.out]
+
+
+@pytest.mark.parametrize("other", ["revision", "uncommitted", "scenario"])
+def test_blocks_of_other_settings_or_code_are_run_again(quick, other, tmp_path):
+    windy = tmp_path / "windy.yaml"
+    windy.write_text("push: {force: 1.0}\nhold_s: 3\n")
+    config = replace(quick.config, episodes=2 * 64, variants=("full",), scenarios=(str(windy),))
+    if other == "uncommitted":
+        quick.made["git"] = "abc-dirty"
+    quick.after.runs = 1
+    with pytest.raises(KeyboardInterrupt):
+        quick.main(config)
+    quick.after.runs = None
+    if other == "scenario":
+        windy.write_text("push: {force: 2.0}\nhold_s: 3\n")
+    elif other == "revision":
+        quick.made["git"] = "abd"
+    quick.main(config)
+    assert [ran[-1].number for ran in quick.ran] == [0, 0, 1]
 
 
 @pytest.mark.parametrize("other", ["episodes", "revision", "uncommitted", "policy", "scenario"])

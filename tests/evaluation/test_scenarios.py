@@ -4,6 +4,7 @@ import io
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,14 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grasp_rows import row
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps import circumstances, problems, rollout
+from mjx_grasp.evaluation.grasps import circumstances, job, problems, rollout
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
+from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem
 from mjx_grasp.evaluation.grasps.run import closing_policy
@@ -383,6 +386,88 @@ def test_the_table_has_whole_names_in_a_narrow_terminal():
     shown = console.file.getvalue()
     assert {"moved_before_closing", "pushed_while_reaching"} <= set(kept)
     assert all(name in shown for name in kept) and "…" not in shown
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch, committed):
+    """Two scenarios of two blocks each without a single grasp, and a run that is killed."""
+    ran, after = [], SimpleNamespace(runs=None)
+
+    def counted(self, scenario, make, block, progress):
+        if len(ran) == after.runs:
+            raise KeyboardInterrupt
+        ran.append((scenario.hold_s, block.number))
+        progress(0.5)
+        return [row(), row("slipped")]
+
+    monkeypatch.setattr(Makers, "run", counted)
+    files = tmp_path / "calm.yaml", tmp_path / "windy.yaml"
+    files[0].write_text("hold_s: 1\n")
+    files[1].write_text("push: {force: 1.0}\nhold_s: 3\n")
+    config = ScenariosConfig(
+        scenarios=tuple(map(str, files)),
+        objects=("rubiks_cube",),
+        episodes=2 * 64,
+        out=tmp_path / "results" / "out.json",
+    )
+    config.out.parent.mkdir()
+
+    def run(config=config):
+        console = Console(file=io.StringIO(), width=200)
+        run_scenarios(config, console)
+        return console.file.getvalue()
+
+    return SimpleNamespace(run=run, config=config, ran=ran, after=after, windy=files[1])
+
+
+@pytest.mark.parametrize("runs", [1, 2, 3])
+def test_scenarios_that_were_killed_lose_no_block_and_the_file_holds_whole_ones(quick, runs):
+    quick.after.runs, out = runs, quick.config.out
+    with pytest.raises(KeyboardInterrupt):
+        quick.run()
+    left = json.loads(out.read_text()) if out.exists() else {"scenarios": {}}
+    assert list(left["scenarios"]) == (["calm"] if runs > 1 else [])
+    quick.after.runs = None
+    said = quick.run()
+    assert ("goes on after calm" in said) == (runs > 1)
+    assert ("1 blocks of trials" in said) == (runs != 2)
+    assert quick.ran == [(1.0, 0), (1.0, 1), (3.0, 0), (3.0, 1)], "none twice"
+    found = json.loads(out.read_text())
+    assert set(found) == {"schema", "config", "scenarios", "sha256", "provenance"}
+    for of in found["scenarios"].values():
+        assert set(of) == {"settings", "seconds", "all", "objects", "rows"}
+        assert of["all"]["trials"] == len(of["rows"]) == 4
+    assert list(out.parent.iterdir()) == [out]
+    quick.run()
+    assert len(quick.ran) == 4, "nothing is left"
+
+
+@pytest.mark.parametrize("other", ["seed", "policy", "scenario", "revision", "uncommitted"])
+def test_scenarios_of_other_settings_files_or_code_are_run_again(
+    quick, other, tmp_path, monkeypatch
+):
+    config, again = quick.config, [(1.0, 0), (1.0, 1), (3.0, 0), (3.0, 1)]
+    revision = "abc-dirty" if other == "uncommitted" else "abc"
+    monkeypatch.setattr("mjx_grasp.records.provenance.git_revision", lambda: revision)
+    own = tmp_path / "policy.npz"
+    own.write_bytes(asset_path("policy.npz").read_bytes())
+    config = replace(config, policy=own)
+    quick.after.runs = 3
+    with pytest.raises(KeyboardInterrupt):
+        quick.run(config)
+    quick.after.runs = None
+    if other == "seed":
+        config = replace(config, seed=1)
+    elif other == "policy":
+        digests = {"policy": "0" * 64}
+        monkeypatch.setattr(job, "file_digests", lambda **_: digests)
+    elif other == "scenario":
+        quick.windy.write_text("push: {force: 2.0}\nhold_s: 3\n")
+        again = again[2:]
+    elif other == "revision":
+        revision = "abd"
+    quick.run(config)
+    assert quick.ran[3:] == again
 
 
 @pytest.mark.long

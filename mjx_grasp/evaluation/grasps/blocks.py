@@ -1,8 +1,8 @@
-"""Trials of a run in blocks: processes share them, and what was cut short goes on with them."""
+"""Trials of a run in blocks: processes share them, and a run that was killed loses none of them."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,14 +24,6 @@ class Block(NamedTuple):
     """of the poses, the plans and what happens"""
 
 
-class BlockResult(NamedTuple):
-    """What came of them."""
-
-    rows: list[GraspRow]
-    seconds: float
-    """that it took [s]"""
-
-
 def blocks_of(episodes: int, objects: int, seed: int) -> list[Block]:
     """The trials of a run, block by block; the same however many processes there are.
 
@@ -48,59 +40,14 @@ def blocks_of(episodes: int, objects: int, seed: int) -> list[Block]:
     return blocks
 
 
-class Begun:
-    """Runs of which some blocks are done.
+def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What a results file holds of a run: seconds, sums and rows.
 
     Args:
-        record: What an interrupted run has left in `record`.
+        parts: Seconds and rows of all of its blocks, in their order (`Makers.block`).
     """
-
-    def __init__(self, record: dict[str, dict[str, Any]] | None = None):
-        self.record = record or {}
-        """of each run by name what it is of, and seconds and rows by block; for a file"""
-
-    def left(self, name: str, about: dict[str, Any], blocks: list[Block]) -> list[Block]:
-        """Blocks of a run that are still to be done.
-
-        Args:
-            name: Of the run.
-            about: What decides its results, as in a file; of something else nothing counts.
-            blocks: All of it.
-        """
-        if self.record.get(name, {}).get("about") != about:
-            self.record.pop(name, None)
-        done = self.record.get(name, {}).get("blocks", {})
-        return [block for block in blocks if str(block.number) not in done]
-
-    def add(
-        self,
-        name: str,
-        about: dict[str, Any],
-        blocks: list[Block],
-        block: Block,
-        found: BlockResult,
-    ) -> dict[str, Any] | None:
-        """Takes what came of a block.
-
-        Args:
-            name, about, blocks: As of `left`.
-            block: Which.
-            found: What came of it.
-
-        Returns:
-            What the run is of, its seconds, sums and rows, once no block is missing; it is
-            forgotten here then.
-        """
-        done = self.record.setdefault(name, {"about": about, "blocks": {}})["blocks"]
-        rows = [asdict(row) for row in found.rows]
-        done[str(block.number)] = {"seconds": round(found.seconds, 1), "rows": rows}
-        if self.left(name, about, blocks):
-            return None
-        del self.record[name]
-        parts = [done[str(each.number)] for each in blocks]
-        every = [_row(row) for part in parts for row in part["rows"]]
-        seconds = round(sum(part["seconds"] for part in parts), 1)
-        return about | {"seconds": seconds, **as_record(every)}
+    every = [_row(row) for part in parts for row in part["rows"]]
+    return {"seconds": round(sum(part["seconds"] for part in parts), 1), **as_record(every)}
 
 
 def _row(record: dict[str, Any]) -> GraspRow:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,13 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.grasps.blocks import Begun, Block, BlockResult
+from mjx_grasp.evaluation.grasps.blocks import Block, joined
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
-from mjx_grasp.evaluation.spread import as_done, unspread
+from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
+from mjx_grasp.evaluation.spread import unspread
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.records.atomic import check_writable, write_json
@@ -46,19 +46,17 @@ class _Grasps:
         self.makers = Makers(config, robot)
         self._config, self._progress = config, progress
 
-    def run(self, job: tuple[Scenario, Block]) -> BlockResult:
+    def block(self, job: tuple[Scenario, Block]) -> dict[str, Any]:
         """What came of a block of a scenario."""
         scenario, block = job
-        started = time.perf_counter()
-        rows = self.makers.run(scenario, self._make, block, self._progress)
-        return BlockResult(rows, time.perf_counter() - started)
+        return self.makers.block(scenario, self._make, block, self._progress)
 
     def _make(self, robot: RobotSpec, approach: Approach) -> Grasper:
         return loaded_grasper(robot, self.file, self._config.force_budget, approach=approach)
 
 
 def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
-    """Runs what is asked for and writes the file after each block of trials.
+    """Runs what is asked for and writes the file after each scenario; blocks are in the journal.
 
     Args:
         config: Scenarios, objects, controller, file, and who shares the blocks.
@@ -71,69 +69,62 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
         InputError, FileError: A setting or file that cannot work; nothing is written then.
     """
     check_writable("--out", config.out)
-    scenarios = load_scenarios(config.scenarios)
-    made, settings = provenance(config.seed), to_record(unspread(config))
-    done, begun = _before(config.out, settings, made, console)
+    scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
+    about = {name: {"settings": to_record(scenario)} for name, scenario in scenarios.items()}
+    name, parts = "", list[dict[str, Any]]()  # the scenario whose turn it is, its finished blocks
     with counting_progress(console) as bar:
-        own = _Grasps(
-            config,
-            lambda share: bar.update(
-                bars[left[0][0]], completed=progress_of(left[0][0]) + _PERCENT * share
-            ),  # alone it is at the first of those that are left
-        )
-        for name in scenarios:
-            own.makers.objects(scenarios[name])  # refuses before anything long starts
+
+        def show(share: float) -> None:
+            bar.update(bars[name], completed=_PERCENT * (len(parts) + share))
+
+        own = _Grasps(config, show)
+        header = {"schema": SCHEMA, "config": to_record(unspread(config))}
+        header |= {"sha256": file_digests(policy=own.file)}
+        done = _before(config.out, header, made["git"], about)
+        for scenario in scenarios.values():
+            own.makers.objects(scenario)  # refuses before anything long starts
         blocks = own.makers.blocks()
-        about = {name: {"settings": to_record(scenario)} for name, scenario in scenarios.items()}
-        left = [
-            (name, block)
-            for name in scenarios
-            if name not in done
-            for block in begun.left(name, about[name], blocks)
+        left = [name for name in scenarios if name not in done]
+        jobs = [
+            (f"{name}, block {block.number}", (scenarios[name], block))
+            for name in left
+            for block in blocks
         ]
-
-        def progress_of(name: str) -> int:
-            waiting = sum(name == other for other, _ in left)
-            return _PERCENT * (len(blocks) - waiting)
-
+        journal = Journal(config.out, header | {"scenarios": about}, made["git"])
+        kept = sum(job in journal.done for job, _ in jobs)
+        if done or kept:
+            after = [*done, *([f"{kept} blocks of trials"] if kept else [])]
+            console.print(f"{config.out}: goes on after {', '.join(after)}")
+        whole = _PERCENT * len(blocks)
         bars = {
-            name: bar.add_task(name, total=_PERCENT * len(blocks), completed=progress_of(name))
+            name: bar.add_task(name, total=whole, completed=whole if name in done else 0)
             for name in scenarios
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
-        asked = tuple(left)
-        jobs = [(scenarios[name], block) for name, block in asked]
-        for k, found in as_done(config, _Grasps.run, jobs, setup):
-            name, block = asked[k]
-            left.remove(asked[k])
-            if whole := begun.add(name, about[name], blocks, block, found):
-                done[name] = whole
-            bar.update(bars[name], completed=progress_of(name))
+        results = journaled(config, _Grasps.block, jobs, setup, journal)
+        for name in left:
+            parts = []
+            for _ in blocks:
+                parts.append(next(results))
+                show(0.0)
+            done[name] = about[name] | joined(parts)
             ordered = {name: done[name] for name in scenarios if name in done}
-            content: dict[str, Any] = {"schema": SCHEMA, "config": settings, "scenarios": ordered}
-            content |= {"begun": begun.record} if begun.record else {}
-            content |= {"sha256": file_digests(policy=own.file), "provenance": made}
-            write_json(config.out, content)
-    return {"config": settings, "scenarios": {name: done[name] for name in scenarios}}
+            write_json(config.out, header | {"scenarios": ordered, "provenance": made})
+    journal.close()
+    return {"config": header["config"], "scenarios": {name: done[name] for name in scenarios}}
 
 
 def _before(
-    path: Path, settings: dict[str, Any], made: dict[str, Any], console: Console
-) -> tuple[dict[str, Any], Begun]:
-    """What a run with the same settings and revision has finished, and what it has begun."""
+    path: Path, header: dict[str, Any], git: str, about: dict[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Which of the scenarios a run of the same settings, policy and revision has finished."""
     if not path.exists():
-        return {}, Begun()
+        return {}
     try:
         before = json.loads(path.read_text())
-        same = before["config"] == settings
-        # Changes that are not committed may be others than before.
-        same = same and before["provenance"]["git"] == made["git"] and "dirty" not in made["git"]
-        same = same and before["schema"] == SCHEMA
-        found, begun = before["scenarios"], before.get("begun", {})
-    except (OSError, ValueError, KeyError, TypeError):
+        found = before["scenarios"]
+        if not goes_on(before, header, git):
+            return {}
+        return {k: found[k] for k, of in about.items() if of.items() <= found.get(k, {}).items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise FileError(path, "no results of scenarios", "none, or such a file") from None
-    if not same:
-        return {}, Begun()
-    if found or begun:
-        console.print(f"{path}: goes on after {', '.join([*found, *begun])}")
-    return found, Begun(begun)

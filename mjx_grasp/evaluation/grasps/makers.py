@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from mjx_grasp.evaluation.grasps.blocks import Block, blocks_of
@@ -46,6 +47,18 @@ class Makers:
         """
         config = self.config
         return blocks_of(config.episodes, len(self.objects(Scenario())), config.seed)
+
+    def block(
+        self,
+        scenario: Scenario,
+        make: MakeGrasper,
+        block: Block,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> dict[str, Any]:
+        """Seconds and rows of a block of a scenario, as JSON; arguments as of `run`."""
+        started = time.perf_counter()
+        rows = [asdict(row) for row in self.run(scenario, make, block, progress)]
+        return {"seconds": round(time.perf_counter() - started, 1), "rows": rows}
 
     def run(
         self,

@@ -2,13 +2,15 @@
 
 The object is lifted and then held for as long as is asked. Zero is when it has risen by 5 cm. What
 is left of the wrench of fingers and weight is the change of its momentum: zero while it hangs
-still.
+still. `--processes N` shares the controllers, and a run that was killed goes on after those that it
+had finished.
 
   python experiments/lift_stability.py --objects-dir SCANS --handoffs assets/handoffs_reached.npz
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +25,9 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.run import outcome_letters
+from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import Trials, paired_draws, watch_trials, zero_controller
 from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -32,27 +36,21 @@ from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.records.atomic import check_writable, replacing, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
-from mjx_grasp.records.settings import (
-    CommandSettings,
-    Count,
-    NonNegative,
-    Positive,
-    Seed,
-    to_record,
-)
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import TaskConfig, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world
 from mjx_grasp.tasks.closing import ClosingState
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
 
 SCHEMA = "mjx_grasp.lift_stability/1"
+_DT = TaskConfig().control_dt
 _COLOURS = {"policy": "#2563a8", "squeeze": "#c8641e", "grip": "#4f7f54"}
 
 
 @dataclass(frozen=True)
-class StabilityConfig(CommandSettings):
+class StabilityConfig(Spread):
     """What to lift, and how long to hold it."""
 
     out: Path = Path("experiments/results/lift_stability.json")
@@ -152,57 +150,92 @@ def draw(found: dict[str, Curves], config: StabilityConfig, dt: float) -> bytes:
     return png(figure)
 
 
+class Holds:
+    """What every process that lifts and holds needs.
+
+    Args:
+        config: What to lift, and for how long.
+
+    Raises:
+        InputError, FileError: An object without states, or a file that cannot be read.
+    """
+
+    def __init__(self, config: StabilityConfig):
+        self._config, self._robot = config, load_robot()
+        self.policy_file = config.policy or asset_path("policy.npz")
+        self.handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
+        self._policy = load_controller(self.policy_file, self._robot)
+        stored = load_handoffs(self.handoffs, robot=self._robot)
+        if config.object not in stored.object_names:
+            known = ", ".join(stored.object_names)
+            raise InputError("--object", config.object, f"an object of {self.handoffs}: {known}")
+        # As long as is asked; the trained task is otherwise left alone.
+        plain = TaskConfig(episode_s=config.seconds)
+        trained = replace(policy_task(self._policy), episode_s=config.seconds)
+        squeeze = replace(plain, grip=GripConfig(force=config.squeeze))
+        self.tasks = (
+            {f"policy, {budget:g} N": (trained, budget) for budget in config.budgets}
+            | {f"squeeze, {config.squeeze:g} N": (squeeze, config.squeeze)}
+            | {"grip": (replace(plain, grip=REACTING), REACTING.force)}
+        )
+        """of each controller its task, and the force that it is told or commands [N]"""
+        self._states = states_of(stored, [config.object], "evaluation")
+        self._world = functools.cache(self._made)
+
+    def hold(self, job: tuple[float, str]) -> dict[str, Any]:
+        """Rows of a controller's trials, and their curves where they are drawn."""
+        impratio, name = job
+        config, world, (task, force) = self._config, self._world(impratio), self.tasks[name]
+        noise = StartNoise(budget_n=(force, force))
+        start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
+        run = world.task("mujoco", config.trials, task, noise, with_privileged=False)
+        knows = name.startswith("policy")
+        act = self._policy.controller() if knows else zero_controller(run)
+        trials, ticks = watch_trials(run, act, start, seen)
+        curves = curves_of(ticks, world.scene.objects[0], run.control_dt)
+        asked = {"controller": name, "impratio": impratio}
+        rows = [asked | row for row in _rows(trials, curves, config, run.control_dt)]
+        drawn = curves if impratio == config.impratios[0] else ()
+        return {"rows": rows, "curves": [values.tolist() for values in drawn]}
+
+    def _made(self, impratio: float) -> World:
+        """The world with so much stiffer friction."""
+        config, physics = self._config, SceneConfig(impratio=impratio)
+        scene = build_scene_of((config.object,), config.objects_dir, self._robot, physics)
+        return build_world(scene, self._states, _DT)
+
+
 def main(config: StabilityConfig) -> None:
     """Lifts, writes, draws."""
     for name, path in (("--out", config.out), ("--picture", config.picture)):
         check_writable(name, path)
-    made, robot = provenance(config.seed), load_robot()
-    policy_file = config.policy or asset_path("policy.npz")
-    handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
-    policy, stored = load_controller(policy_file, robot), load_handoffs(handoffs, robot=robot)
-    if config.object not in stored.object_names:
-        known = ", ".join(stored.object_names)
-        raise InputError("--object", config.object, f"an object of {handoffs}: {known}")
-    # As long as is asked; the trained task is otherwise left alone.
-    plain = TaskConfig(episode_s=config.seconds)
-    tasks = {
-        f"policy, {budget:g} N": (replace(policy_task(policy), episode_s=config.seconds), budget)
-        for budget in config.budgets
-    } | {
-        f"squeeze, {config.squeeze:g} N": (
-            replace(plain, grip=GripConfig(force=config.squeeze)),
-            config.squeeze,
-        ),
-        "grip": (replace(plain, grip=REACTING), REACTING.force),
+    made, own = provenance(config.seed), Holds(config)
+    identity = {
+        "schema": SCHEMA,
+        "settings": to_record(unspread(config)),
+        "sha256": file_digests(policy=own.policy_file, handoffs=own.handoffs),
     }
-    states = states_of(stored, [config.object], "evaluation")
+    jobs = [
+        (f"{name}, impratio {impratio}", (impratio, name))
+        for impratio in config.impratios
+        for name in own.tasks
+    ]
+    setup = (lambda: own) if config.alone else functools.partial(Holds, config)
+    journal = Journal(config.out, identity, made["git"])
+    results = journaled(config, Holds.hold, jobs, setup, journal)
     drawn: dict[str, Curves] = {}
     rows = []
     with counting_progress(Console(stderr=True)) as bar:
-        job = bar.add_task("controllers", total=len(tasks) * len(config.impratios))
-        for impratio in config.impratios:
-            physics = SceneConfig(impratio=impratio)
-            scene = build_scene_of((config.object,), config.objects_dir, robot, physics)
-            world = build_world(scene, states, plain.control_dt)
-            for name, (task, force) in tasks.items():
-                noise = StartNoise(budget_n=(force, force))
-                start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
-                run = world.task("mujoco", config.trials, task, noise, with_privileged=False)
-                knows = name.startswith("policy")
-                act = policy.controller() if knows else zero_controller(run)
-                trials, ticks = watch_trials(run, act, start, seen)
-                curves = curves_of(ticks, scene.objects[0], run.control_dt)
-                drawn.setdefault(name, curves)
-                rows += [
-                    {"controller": name, "impratio": impratio} | row
-                    for row in _rows(trials, curves, config, run.control_dt)
-                ]
-                bar.update(job, advance=1)
-    record = {"schema": SCHEMA, "settings": to_record(config), "rows": rows}
-    digests = file_digests(policy=policy_file, handoffs=handoffs)
-    write_json(config.out, record | {"sha256": digests, "provenance": made})
+        job = bar.add_task("controllers", total=len(jobs))
+        for (_, (_, name)), found in zip(jobs, results, strict=True):
+            rows += found["rows"]
+            if found["curves"]:
+                drawn[name] = Curves(*map(np.array, found["curves"]))
+            bar.update(job, advance=1)
+    write_json(config.out, identity | {"rows": rows, "provenance": made})
     with replacing(config.picture) as temporary:
-        temporary.write_bytes(draw(drawn, config, plain.control_dt))
+        temporary.write_bytes(draw(drawn, config, _DT))
+    journal.close()
 
 
 def _rows(
@@ -234,4 +267,6 @@ def _rows(
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(StabilityConfig, description=__doc__)))
+    import lift_stability as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.StabilityConfig, description=__doc__)))

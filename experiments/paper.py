@@ -90,7 +90,7 @@ PARTS = (
         (
             "experiments/steering_figure.py --objects-dir SCANS",
             "experiments/steering_numbers.py --objects-dir SCANS",
-            "experiments/steered_grasps.py --objects-dir SCANS",
+            "experiments/steered_grasps.py --objects-dir SCANS --processes CORES",
         ),
     ),
     Part(
@@ -138,7 +138,8 @@ PARTS = (
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 "
             "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
             "--processes CORES --out experiments/results/objects/reached.json",
-            f"experiments/heavy_objects.py --objects-dir SCANS --handoffs {FOLDER}/reached_all.npz",
+            f"experiments/heavy_objects.py --objects-dir SCANS --handoffs {FOLDER}/reached_all.npz "
+            "--processes CORES",
         ),
     ),
     Part(
@@ -160,7 +161,7 @@ PARTS = (
     Part(
         "stability",
         "rise, forces and the wrench that is left while an object is held",
-        ("experiments/lift_stability.py --objects-dir SCANS",),
+        ("experiments/lift_stability.py --objects-dir SCANS --processes CORES",),
     ),
     Part(
         "scenarios",

@@ -4,12 +4,16 @@ Objects lie at random on the table and are grasped "near the top", "by the handl
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
 distance of the place from the contacts is measured: of those that were chosen, and of the
 fingertips when the lift begins. A side may lie on the table; it is asked for all the same.
+`--processes 2` makes the grasps of both ways at once, and a run that was killed goes on after the
+first one where it had finished it.
 
   python experiments/steered_grasps.py --objects-dir SCANS
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,10 +30,12 @@ from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace, grasp_all
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.journal import Journal, journaled
+from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned_back
 from mjx_grasp.heatmap.compute import heatmap_of
-from mjx_grasp.heatmap.steering import steer_to
+from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.model import ObjectModel, load_objects
@@ -41,8 +47,8 @@ from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings, Seed, to_record
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.records.settings import Seed, to_record
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
 
@@ -52,11 +58,12 @@ _TEN = (
     *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
 )
 _FACES = tuple(side for side in SIDES if side != "middle")
+WAYS = ("default", "contacts")
 _PERCENT = 100
 
 
 @dataclass(frozen=True)
-class SteeredConfig(CommandSettings):
+class SteeredConfig(Spread):
     """What to grasp."""
 
     out: Path = Path("experiments/results/steered_grasps.json")
@@ -157,57 +164,80 @@ def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | Non
     return round(1e3 * float(np.linalg.norm(contacts - anchor.point, axis=1).mean()), 1)
 
 
-def grasped(
-    way: str,
-    places: list[Place],
-    objects: list[ObjectModel],
-    problem: GraspProblem,
-    robot: RobotSpec,
-    config: SteeredConfig,
-    console: Console,
-) -> list[dict[str, Any]]:
-    """All trials in one way."""
-    heatmaps = [heatmap_of(obj, robot.hand) for obj in objects]
-    steered = way != "default"
-    known = []
-    for place in places:
-        heatmap, anchor = heatmaps[place.index], place.anchor
-        score = steer_to(heatmap, anchor.point, anchor.size, steering=way) if steered else None
-        known.append(known_object(objects[place.index], robot, heatmap, score))
-    grasper = loaded_grasper(robot, steered=steered)
-    assert grasper.planner is not None
-    library = start_library(grasper.reacher.body, grasper.planner.config)
-    physics = NativePhysics(build_scene(objects, robot), grasper.dt)
-    with counting_progress(console) as bar:
-        job = bar.add_task(way, total=_PERCENT)
+class Steered:
+    """What every process that grasps needs.
+
+    Args:
+        config: Objects, and the seed.
+        progress: Told which share of a way's trials is done.
+
+    Raises:
+        InputError, FileError: The objects cannot be had.
+    """
+
+    def __init__(
+        self, config: SteeredConfig, progress: Callable[[float], None] = lambda share: None
+    ):
+        self._config, self._progress, self._robot = config, progress, load_robot()
+        self._objects = objects = list(load_objects(config.objects, config.objects_dir))
+        self._places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
+        counts = [sum(place.index == k for place in self._places) for k in range(len(objects))]
+        drawn = [
+            draw_problem([obj], n, config.seed) for obj, n in zip(objects, counts, strict=True)
+        ]
+        self._problem = GraspProblem(
+            object_index=np.repeat(np.arange(len(objects)), counts),
+            p_wo=np.concatenate([part.p_wo for part in drawn]),
+            quat=np.concatenate([part.quat for part in drawn]),
+        )
+
+    @functools.cached_property
+    def _heatmaps(self) -> list[Heatmap]:
+        return [heatmap_of(obj, self._robot.hand) for obj in self._objects]
+
+    def rows(self, way: str) -> list[dict[str, Any]]:
+        """All trials in one way."""
+        robot, objects, problem = self._robot, self._objects, self._problem
+        steered = way != "default"
+        known = []
+        for place in self._places:
+            heatmap, anchor = self._heatmaps[place.index], place.anchor
+            score = steer_to(heatmap, anchor.point, anchor.size, steering=way) if steered else None
+            known.append(known_object(objects[place.index], robot, heatmap, score))
+        grasper = loaded_grasper(robot, steered=steered)
+        assert grasper.planner is not None
+        library = start_library(grasper.reacher.body, grasper.planner.config)
+        physics = NativePhysics(build_scene(objects, robot), grasper.dt)
         ran = grasp_all(
-            grasper, library, physics, stacked(known), problem, None, config.seed,
-            lambda share: bar.update(job, completed=round(_PERCENT * share)),
+            grasper, library, physics, stacked(known), problem, None, self._config.seed,
+            self._progress,
         )  # fmt: skip
-    names = [obj.name for obj in objects]
-    return rows_of(way, places, names, ran, grasper, physics, problem)
+        names = [obj.name for obj in objects]
+        return rows_of(way, self._places, names, ran, grasper, physics, problem)
 
 
 def main(config: SteeredConfig) -> None:
     """Grasps in both ways and writes."""
     check_writable("--out", config.out)
-    made, robot, console = provenance(config.seed), load_robot(), Console(stderr=True)
-    objects = list(load_objects(config.objects, config.objects_dir))
-    places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
-    counts = [sum(place.index == k for place in places) for k in range(len(objects))]
-    drawn = [draw_problem([obj], n, config.seed) for obj, n in zip(objects, counts, strict=True)]
-    problem = GraspProblem(
-        object_index=np.repeat(np.arange(len(objects)), counts),
-        p_wo=np.concatenate([part.p_wo for part in drawn]),
-        quat=np.concatenate([part.quat for part in drawn]),
-    )
+    made = provenance(config.seed)
+    identity = {"schema": SCHEMA, "config": to_record(unspread(config))}
+    journal = Journal(config.out, identity, made["git"])
     rows: list[dict[str, Any]] = []
-    for way in ("default", "contacts"):
-        rows += grasped(way, places, objects, problem, robot, config, console)
-        content = {"schema": SCHEMA, "config": to_record(config), "rows": rows}
-        write_json(config.out, content | {"provenance": made})
+    with counting_progress(Console(stderr=True)) as bar:
+        bars = {way: bar.add_task(way, total=_PERCENT) for way in WAYS}
+        way = WAYS[0]
+        own = Steered(config, lambda share: bar.update(bars[way], completed=_PERCENT * share))
+        setup = (lambda: own) if config.alone else functools.partial(Steered, config)
+        results = journaled(config, Steered.rows, [(way, way) for way in WAYS], setup, journal)
+        for way in WAYS:
+            rows += next(results)
+            bar.update(bars[way], completed=_PERCENT)
+    write_json(config.out, identity | {"rows": rows, "provenance": made})
+    journal.close()
     Console().print(f"written: {config.out}, {len(rows)} trials")
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(SteeredConfig, description=__doc__)))
+    import steered_grasps as script  # by a name under which other processes find it
+
+    run_command(lambda: script.main(tyro.cli(script.SteeredConfig, description=__doc__)))

@@ -34,7 +34,7 @@ from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.records.atomic import check_writable, read_json
+from mjx_grasp.records.atomic import check_writable, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
@@ -168,6 +168,13 @@ def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: s
     rows = earlier["controllers"]
     record["controllers"] |= {name: rows[name] for name in names if name in rows}
     record["provenance"]["known"] = earlier["provenance"]
+
+
+def keep(config: ComparedConfig, found: Comparison) -> None:
+    """Writes what is done, the controllers in their own order."""
+    done = found.record["controllers"]
+    kept = {name: done[name] for name in found.contestants if name in done}
+    write_json(config.out, found.record | {"controllers": kept})
 
 
 def journal_of(config: ComparedConfig, found: Comparison) -> Journal:

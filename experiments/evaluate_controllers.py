@@ -3,7 +3,8 @@
 Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
 each friction, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
 training engine's figures for the comparison of both. A file of the same settings and
-revision is gone on with. A new policy need not wait for what is known of the others:
+revision is gone on with. A new policy need not wait for what is known of the others, nor more
+budgets for those that the same policy had:
 
   python experiments/evaluate_controllers.py --objects-dir DIR --out FILE.json
   python experiments/evaluate_controllers.py --objects-dir DIR --policy P.npz --known FILE.json \
@@ -100,8 +101,9 @@ class ComparisonConfig(Spread):
     """how the squeeze shares each of them out"""
     grip_frictions: tuple[Positive, ...] = ()
     """frictions μ₀ that the grip assumes when it answers to load [-]"""
-    known: Path | None = None
-    """an earlier comparison from the same states: its squeezes and grips are not run again"""
+    known: tuple[Path, ...] = ()
+    """earlier comparisons from the same states: their squeezes and grips are not run again, nor
+    what they have of the same policy"""
     engine: Engine = "mujoco"
     episodes: Count = 64
     worlds: Count = 256
@@ -151,7 +153,7 @@ def asked_of(config: ComparisonConfig, knows_budget: bool) -> list[EvaluateConfi
 
 
 class Known(NamedTuple):
-    """What an earlier comparison has of controllers other than a policy."""
+    """What an earlier comparison has that need not be run again."""
 
     rows: dict[EvaluateConfig, list[ResultRow]]
     """object by object"""
@@ -159,40 +161,45 @@ class Known(NamedTuple):
     """its provenance, what it knew from others, and counts of incidents"""
 
 
-def what_is_known(config: ComparisonConfig, names: list[str], handoffs: str) -> Known | None:
-    """What `config.known` has of what is asked for; None without such a file.
+def what_is_known(
+    path: Path, config: ComparisonConfig, names: list[str], sha256: dict[str, str]
+) -> Known:
+    """What an earlier comparison has of what is asked for.
 
     Args:
+        path: Its file.
         config: What is asked for now.
         names: Objects with start states.
-        handoffs: SHA-256 of the start states.
+        sha256: Of the policy and the start states.
 
     Raises:
         InputError: It is the file to write.
         FileError: It is of other states, objects, physics or draws.
     """
-    path = config.known
-    if path is None:
-        return None
     if path.resolve() == config.out.resolve():
         raise InputError("--known", path, "another file than --out")
     stored = read_results(path)
+    settings = stored.extra.get("settings")
+    if isinstance(settings, dict):  # where it has its rows from does not matter
+        settings = {name: value for name, value in settings.items() if name != "known"}
     try:
-        earlier = from_record(ComparisonConfig, stored.extra.get("settings"), "settings")
+        earlier = from_record(ComparisonConfig, settings, "settings")
     except InputError as error:
         raise FileError(path, str(error), "a comparison of controllers") from None
     for name in ("objects", "states", "noisy_torque", "engine", "episodes", "seed"):
         found, expected = getattr(earlier, name), getattr(config, name)
         if found != expected:
             raise FileError(path, f"{name} {found!r}", f"{expected!r}, as asked for now")
-    if stored.extra.get("sha256", {}).get("handoffs") != handoffs:
+    files = stored.extra.get("sha256", {})
+    if files.get("handoffs") != sha256["handoffs"]:
         raise FileError(path, "results from other start states", "those of --handoffs")
     each, same = len(names), replace(earlier, out=config.out, worlds=config.worlds)
     knew_budget = any(row.force_budget_n is not None for row in stored.rows)
     known = {}
     for k, chosen in enumerate(asked_of(same, knew_budget)):
         rows = list(stored.rows[k * each : (k + 1) * each])
-        if chosen.controller != "policy" and [row.object for row in rows] == names:
+        reusable = chosen.controller != "policy" or files.get("policy") == sha256["policy"]
+        if reusable and [row.object for row in rows] == names:
             known[chosen] = rows
     more = {key: stored.extra[key] for key in ("known", *incidents(())) if key in stored.extra}
     return Known(known, stored.provenance | more)
@@ -263,14 +270,15 @@ def main(config: ComparisonConfig) -> None:
         policy=config.policy or asset_path("policy.npz"),
         handoffs=config.handoffs or shipped_handoffs(config.objects_dir),
     )
-    found = what_is_known(config, own.names, sha256["handoffs"])
-    known = found.rows if found else {}
+    found = [what_is_known(path, config, own.names, sha256) for path in config.known]
+    known = {each: rows for part in found for each, rows in part.rows.items()}
+    files = {f"known_{k}": path for k, path in enumerate(config.known)}
     made_of = {
         "settings": to_record(unspread(config)),
-        "sha256": sha256 | file_digests(known=config.known),
+        "sha256": sha256 | file_digests(**files),
     }
     if found:
-        made_of["known"] = found.origin
+        made_of["known"] = [part.origin for part in found]
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
     new = [

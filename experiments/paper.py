@@ -114,8 +114,8 @@ PARTS = (
         "success, forces and failure classes on the eight objects, policy and squeeze",
         (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
-            "--force-budgets 1.5 3 4 6 8 --squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 "
-            "--episodes 128 "
+            "--force-budgets 1.5 2.5 3 3.5 4 6 8 --squeeze-forces 1 2 3 4 5 7 10 "
+            "--grip-frictions 0.4 0.5 --episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
             "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 8 "

@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from compared import ComparedConfig, Runner, compared, journal_of
+from compared import ComparedConfig, Runner, compared, journal_of, keep
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.evaluation.journal import journaled
-from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import NonNegative
 from mjx_grasp.tasks.config import StartNoise
 
@@ -80,7 +79,7 @@ def main(config: PoseErrorConfig) -> None:
                 rows += next(results)
                 bar.update(job, advance=1)
             done[name] = rows
-            write_json(config.out, found.record)
+            keep(config, found)
     journal.close()
 
 

@@ -68,24 +68,43 @@ def first(script, tmp_path):
     return config
 
 
+def of_another_policy(path):
+    record = json.loads(path.read_text())
+    record["sha256"]["policy"] = "0" * 64
+    path.write_text(json.dumps(record))
+
+
 def test_only_the_policy_is_run_where_the_others_are_known(script, first, tmp_path):
-    second = replace(first, out=tmp_path / "second.json", known=first.out)
+    of_another_policy(first.out)
+    second = replace(first, out=tmp_path / "second.json", known=(first.out,))
     script.main(second)
     assert [each.controller for each in script.ran] == 2 * script.policies * ["policy"]
     old, new = (json.loads(each.out.read_text()) for each in (first, second))
     for was, is_now in zip(old["rows"], new["rows"], strict=True):
         assert (was == is_now) == (was["controller"] != "policy")
-    assert new["known"].items() >= old["provenance"].items() and "known" not in new["known"]
-    third = replace(first, out=tmp_path / "third.json", known=second.out)
+    (origin,) = new["known"]
+    assert origin.items() >= old["provenance"].items() and "known" not in origin
+    third = replace(first, out=tmp_path / "third.json", known=(second.out,))
     script.main(third)
-    assert json.loads(third.out.read_text())["known"]["known"] == new["known"]
+    assert json.loads(third.out.read_text())["known"][0]["known"] == new["known"]
+
+
+def test_what_is_known_of_the_same_policy_is_not_run_either(script, first, tmp_path):
+    more = replace(first, out=tmp_path / "more.json", known=(first.out,), force_budgets=(1.5, 6.0))
+    script.main(more)
+    budgets = [6.0] if script.policies == 2 else []
+    assert [each.force_budget for each in script.ran] == 2 * budgets
+    script.ran.clear()
+    both = replace(more, out=tmp_path / "both.json", known=(first.out, more.out))
+    script.main(replace(both, force_budgets=(1.5, 3.0, 6.0)))
+    assert not script.ran
 
 
 def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):
     record = json.loads(first.out.read_text())
     record["rows"] = record["rows"][: len(NAMES) * (script.policies + 1)]
     first.out.write_text(json.dumps(record))
-    script.main(replace(first, out=tmp_path / "second.json", known=first.out))
+    script.main(replace(first, out=tmp_path / "second.json", known=(first.out,)))
     assert [each.squeeze_force for each in script.ran if each.controller == "squeeze"] == [5, 3, 5]
 
 
@@ -126,7 +145,7 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
 def test_the_known_file_is_not_written_over(script, first):
     before = first.out.read_text()
     with pytest.raises(InputError, match=r"--known.*another file"):
-        script.main(replace(first, known=first.out))
+        script.main(replace(first, known=(first.out,)))
     assert first.out.read_text() == before
 
 
@@ -135,7 +154,7 @@ def test_what_is_not_known_is_run(script, first, tmp_path):
     second = replace(
         first,
         out=tmp_path / "second.json",
-        known=first.out,
+        known=(first.out,),
         conditions=conditions,
         squeeze_forces=forces,
         with_policy=False,
@@ -159,7 +178,7 @@ def test_what_is_not_known_is_run(script, first, tmp_path):
     ],
 )
 def test_other_draws_are_refused(script, first, tmp_path, change, message):
-    second = replace(first, out=tmp_path / "second.json", known=first.out, **change)
+    second = replace(first, out=tmp_path / "second.json", known=(first.out,), **change)
     with pytest.raises(FileError, match=message):
         script.main(second)
     assert not script.ran and not second.out.exists()
@@ -170,9 +189,9 @@ def test_other_start_states_are_refused(script, first, tmp_path):
     record["sha256"]["handoffs"] = "0" * 64
     first.out.write_text(json.dumps(record))
     with pytest.raises(FileError, match="other start states"):
-        script.main(replace(first, out=tmp_path / "second.json", known=first.out))
+        script.main(replace(first, out=tmp_path / "second.json", known=(first.out,)))
 
 
 def test_a_file_that_is_not_there_is_named(script, first, tmp_path):
     with pytest.raises(FileError, match=r"none\.json"):
-        script.main(replace(first, known=tmp_path / "none.json"))
+        script.main(replace(first, known=(tmp_path / "none.json",)))

@@ -167,7 +167,8 @@ def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: s
             raise FileError(path, f"{name} {found!r}", f"{expected!r}")
     rows = earlier["controllers"]
     record["controllers"] |= {name: rows[name] for name in names if name in rows}
-    record["provenance"]["known"] = earlier["provenance"]
+    more = {"known": earlier["known"]} if "known" in earlier else {}
+    record["known"] = [earlier["provenance"] | more]
 
 
 def keep(config: ComparedConfig, found: Comparison) -> None:

@@ -162,9 +162,10 @@ def _provenance(paths: Sequence[Path], folder: Path) -> Table:
     rows = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
-        content = json.loads(path.read_text())
-        made, what = content.get("provenance", {}) | {"known": content.get("known")}, ""
-        while made:
+        content, what = json.loads(path.read_text()), ""
+        left = [content.get("provenance", {}) | {"known": content.get("known")}]
+        while left:
+            made = left.pop(0)
             versions = made.get("versions", {})
             shown = ", ".join(f"{n} {versions[n]}" for n in ("jax", "mujoco") if n in versions)
             rows.append(
@@ -177,7 +178,8 @@ def _provenance(paths: Sequence[Path], folder: Path) -> Table:
                     str(made.get("seed", "")),
                 )
             )
-            made, what = made.get("known"), ": taken over"
+            known, what = made.get("known") or [], ": taken over"
+            left += [known] if isinstance(known, dict) else known
     header = ("file", "command", "git", "device", "versions", "seed")
     return Table("Results files", header, tuple(rows), names=5)
 

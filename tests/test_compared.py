@@ -54,7 +54,11 @@ def test_controllers_without_a_policy_are_taken_with_their_origin(
     record = asked()
     take_known(record, earlier, ["squeeze 3 N", "squeeze 5 N", "grip"], "results")
     assert record["controllers"] == {"squeeze 3 N": ["s"], "grip": ["g"]}
-    assert record["provenance"] == {"git": "now", "known": {"git": "earlier"}}
+    assert record["provenance"] == {"git": "now"} and record["known"] == [{"git": "earlier"}]
+    earlier.write_text(json.dumps(record | {"controllers": {"grip": ["h"]}}))
+    record = asked()
+    take_known(record, earlier, ["grip"], "results")
+    assert record["known"] == [{"git": "now", "known": [{"git": "earlier"}]}]
 
 
 @pytest.mark.parametrize(

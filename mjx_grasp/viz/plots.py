@@ -37,6 +37,7 @@ _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
 # Of the words beside a point: below the points of these, above those of policies.
 _LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (3, -13)}, (-5, 6)
+_ROOM = 0.45, 6.0  # N and % that words of two points need between them
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
@@ -195,8 +196,8 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
 
 
 def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
-    """Controllers of one family, joined, each with what it was asked for beside it."""
-    points = sorted(points)
+    """Controllers of one family, joined, with what they were asked for where there is room."""
+    points, named = sorted(points), None
     x, y = _LABELS.get(points[0].family, _ABOVE)
     ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
     for point in points:
@@ -205,13 +206,20 @@ def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> Erro
             point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
             color=colour, capsize=3, markersize=6,
         )  # fmt: skip
-        if len(points) > 1:
+        if len(points) > 1 and (named is None or _apart(named, point)):
+            named = point
             ax.annotate(
                 point.setting.rpartition(", ")[2].removeprefix("budget "),
                 (point.force, point.mean), xytext=(x, y), textcoords="offset points",
                 color=colour, fontsize=7, ha="left" if x > 0 else "right",
             )  # fmt: skip
     return dot
+
+
+def _apart(one: _Point, other: _Point) -> bool:
+    """Whether words beside both can be read."""
+    force, success = _ROOM
+    return abs(other.force - one.force) > force or abs(other.mean - one.mean) > success
 
 
 def _smooth(values: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:

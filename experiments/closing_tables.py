@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from collect_runs import run_rows
 from stage_tables import NOTHING, markdown, read, short_revision
 
@@ -72,6 +73,7 @@ ON_WALLS = (
     "m·g·√(1 + μ²) / 3μ. To lift faster, or with contacts that are not ideal, takes more; contacts "
     "under a slope take less."
 )
+_BUDGETS_N = (3.0, 4.0)
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
     "a CUDA graph), the same called from JAX, the task around it, the policy's actions, PPO's "
@@ -175,6 +177,35 @@ def least_forces(names: Sequence[str]) -> Table:
         rows.append((label, f"{1e3 * info.mass:.0f}", *(f"{share:.1f}" for share in shares)))
     header = ("object", "mass g", *(f"N at friction {mu:g}" for mu in _WALL_FRICTIONS))
     return Table("Least force per finger on upright walls", header, tuple(rows), names=1)
+
+
+def least_by_contacts(path: Path) -> str:
+    """What the contacts of the start states ask for, and a bound on success within a mean force."""
+    record = read(path)
+    if record is None:
+        return NOTHING
+    rows = record["rows"]
+    frictions = list(dict.fromkeys(row["friction"] for row in rows))
+    cells: dict[str, list[str]] = {}
+    shares: list[list[float]] = []
+    for row in rows:
+        forces = np.array([np.inf if x is None else x for x in row["forces_n"]])
+        within = [100.0 * np.mean(forces <= budget) for budget in _BUDGETS_N]
+        shares.append(within)
+        low, median, high = (
+            f"{x:.1f}" for x in np.percentile(forces, (5, 50, 95), method="nearest")
+        )
+        label = row["object"].replace("_", " ")
+        own = cells.setdefault(label, [f"{1e3 * row['mass_kg']:.0f}"])
+        own += [f"{median} ({low}–{high})", *(f"{share:.0f}" for share in within)]
+    lines = [(label, *own) for label, own in cells.items()]
+    means = np.reshape(shares, (len(frictions), len(cells), len(_BUDGETS_N))).mean(axis=1)
+    last = [x for part in means for x in ("", *(f"{share:.1f}" for share in part))]
+    header = ["object", "mass g"]
+    for mu in frictions:
+        header += [f"friction {mu:g}: N", *(f"within {b:g} N %" for b in _BUDGETS_N)]
+    table = Table("Contacts", tuple(header), (*lines, ("mean", "", *last)), names=1, summary=1)
+    return markdown(table)
 
 
 def _means_by_engine(groups: Groups) -> list[str]:

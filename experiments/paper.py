@@ -126,6 +126,7 @@ PARTS = (
             "--force-budgets 3 8 --squeeze-forces 3 5 8 --grip-frictions 0.4 --episodes 32 "
             "--processes CORES --out experiments/results/conditions/noisy.json",
             "experiments/force_figure.py",
+            "experiments/least_force.py --objects-dir SCANS",
         ),
     ),
     Part(

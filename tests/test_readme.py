@@ -350,6 +350,12 @@ def test_the_revision_of_every_result_is_in_the_history():
         assert named <= history, path.name
 
 
+def test_results_name_no_folder_of_the_machine_that_made_them():
+    for path in (ROOT / "experiments" / "results").rglob("*.json"):
+        found = re.search(r"(?:/home|/root|/Users|/work|\.\./)[/\w.-]*", path.read_text())
+        assert found is None, f"{path.name}: {found[0]}"
+
+
 def test_what_is_written_by_hand_survives(root):
     before = {p: GENERATED.sub("", p.read_text()) for p in root.rglob("README.md")}
     run(root)

@@ -27,8 +27,9 @@ from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset
 from mjx_grasp.robot.spec import HandSpec, RobotSpec
 
-CANDIDATES = 256
-"""Of a heatmap, among which reaching chooses."""
+CANDIDATES = 1024
+"""Of a heatmap, among which reaching chooses: of a flat object or a small ball few are high enough
+above the table for the hand, whatever their score."""
 STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
 STEERED_LEAST = 32

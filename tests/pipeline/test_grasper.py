@@ -17,12 +17,16 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.grasp.targets import admissible, target_options
+from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import (
     STEERED_LEAST,
     STEERED_SCORE,
     check_graspable,
+    known_object,
     steered_candidates,
     steered_scores,
+    whole_grasps,
 )
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
@@ -355,6 +359,19 @@ def test_what_is_not_reached_is_planned_anew_once(make, home, known):
     assert state.reach.clock < 0.1 and state.reach.tries == 0
     state, _ = ticks(grasper, state, home, known, seen(), 14)
     assert (state.phase, state.failure, state.retries) == (Phase.FAILED, Failure.NOT_REACHED, 1)
+
+
+@pytest.mark.parametrize("upside", [1.0, -1.0])
+def test_a_flat_can_on_its_face_has_contacts_at_its_side_that_the_hand_can_use(robot, upside):
+    """Its best contacts, and most of all others, are too near the table."""
+    (can,) = load_objects(("tuna_fish_can",))
+    candidates, targets = known_object(can, robot).candidates, whole_grasps().selection.targets
+    R_wo = jnp.diag(jnp.array([1.0, upside, upside]))
+    p_wo = jnp.array([0.5, 0.0, -float((upside * can.mesh.vertices[:, 2]).min())])
+    options = target_options(candidates, targets)
+    usable = np.asarray(options.candidate)[admissible(candidates, options, p_wo, R_wo, targets)]
+    around = np.linalg.norm(np.asarray(candidates.axis)[usable, :2], axis=1) > 0.9
+    assert len(np.unique(usable[around])) > 10
 
 
 @pytest.mark.wrong_types

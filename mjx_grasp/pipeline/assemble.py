@@ -111,7 +111,9 @@ def grasper_of(
     settings = reaching or whole_grasps()
     reacher = Reacher(robot_body(robot), settings.reach, settings.selection)
     planner = None if settings.plan is None else Planner(reacher, settings.plan)
-    closer = Closer.of(robot, closing or CloserConfig(grip=REACTING))
+    closing, config = closing or CloserConfig(grip=REACTING), config or GrasperConfig()
+    grip = replace(closing.grip, most=max(closing.grip.most, config.most))
+    closer = Closer.of(robot, replace(closing, grip=grip))
     return Grasper.of(reacher, closer, config, planner, policy)
 
 

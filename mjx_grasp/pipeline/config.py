@@ -34,6 +34,12 @@ class GrasperConfig(Settings):
     """that far [m]"""
     dropped: PositiveOrNever = 0.060
     """displacement of the object in the palm since lift onset from which it is lost [m]"""
+    most: NonNegative = 14.0
+    """F to which weight and load may raise a grip that answers to load, where its own bound is
+    lower: what the fingers can do, for heavy objects; light ones ask for less [N]"""
+    hardest: NonNegative = 8.0
+    """times the known weight with which the thumb begins to press at most: contacts that ask for
+    more are not held by force [-]"""
     timeout_s: PositiveOrNever = 20.0
     """from the start to the end of the lift [s]"""
     servo: ServoConfig = ServoConfig()

@@ -353,7 +353,9 @@ class Grasper:
         load = Load(known.weight * -seen.R_wo[2], known.com)
         contact = ContactConfig(friction=grip.friction)
         thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)
-        return jnp.clip(thumb / finger_shares(FINGERS, grip)[0], grip.force, grip.most)
+        share = finger_shares(FINGERS, grip)[0]
+        most = jnp.clip(self.config.hardest * known.weight / share, grip.force, grip.most)
+        return jnp.clip(thumb / share, grip.force, most)
 
     def _stop(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen

@@ -23,6 +23,7 @@ from mjx_grasp.pipeline.assemble import (
     STEERED_LEAST,
     STEERED_SCORE,
     check_graspable,
+    grasper_of,
     known_object,
     steered_candidates,
     steered_scores,
@@ -33,7 +34,7 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known, Seen
 from mjx_grasp.reaching.config import HandoffGate
-from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner
@@ -359,6 +360,47 @@ def test_what_is_not_reached_is_planned_anew_once(make, home, known):
     assert state.reach.clock < 0.1 and state.reach.tries == 0
     state, _ = ticks(grasper, state, home, known, seen(), 14)
     assert (state.phase, state.failure, state.retries) == (Phase.FAILED, Failure.NOT_REACHED, 1)
+
+
+class _Chooses:
+    """Always the first candidate, with its wraps one above the other."""
+
+    def search(self, library, candidates, around, q, key):
+        along, first = jnp.array([[0.0, 0.0, 1.0]]), jnp.zeros(1, jnp.int32)
+        return SimpleNamespace(plans=Plans(first, along, along, None))
+
+
+@pytest.mark.wrong_types
+def test_a_grip_begins_in_proportion_to_the_weight_and_not_harder_where_no_force_holds(make, known):
+    def force(weight, com=(0.0, 0.0, 0.0), most=20.0, **config):
+        closing = replace(QUICK, grip=replace(REACTING, most=most))
+        grasper = make(closing=closing, config=GrasperConfig(**config))
+        what = known._replace(weight=jnp.float32(weight), com=jnp.array(com))
+        return float(
+            replace(grasper, planner=_Chooses()).plan(None, what, seen(), None, None).force[0]
+        )
+
+    per_newton = force(10.0) / 10.0
+    for weight in (5.0, 20.0):
+        assert force(weight) == pytest.approx(per_newton * weight, rel=1e-4)
+    assert force(0.1) == pytest.approx(REACTING.force)
+    assert force(100.0) == pytest.approx(20.0) and force(100.0, most=9.0) == pytest.approx(9.0)
+    beside, thumb = (0.5, 0.5, 0.0), 1.5  # no force holds there; the thumb bears 3/2 F
+    assert force(1.0, beside, hardest=6.0) == pytest.approx(6.0 / thumb)
+    assert force(1.0, beside, hardest=1.0) == pytest.approx(REACTING.force)
+    assert force(100.0, beside) == pytest.approx(20.0)
+
+
+def test_weight_and_load_may_raise_the_grip_of_a_whole_grasp_as_far_as_fingers_can(robot):
+    """Beyond the bound that a policy was trained with; all else of closing stays as it is."""
+    trained = ClosingTaskConfig(grip=replace(REACTING, most=8.0))
+    closer = grasper_of(robot, trained).closer
+    grip = replace(trained.grip, most=GrasperConfig().most)
+    assert grip.most > 8.0 and closer.config == replace(trained, grip=grip)
+    for own, asked, expected in ((8.0, 11.0, 11.0), (20.0, 11.0, 20.0)):
+        closing = replace(trained, grip=replace(REACTING, most=own))
+        made = grasper_of(robot, closing, config=GrasperConfig(most=asked))
+        assert made.closer.config.grip.most == expected
 
 
 @pytest.mark.parametrize("upside", [1.0, -1.0])

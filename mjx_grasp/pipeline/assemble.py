@@ -24,7 +24,7 @@ from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner
-from mjx_grasp.reaching.presets import ReachPreset, reach_preset
+from mjx_grasp.reaching.presets import ReachPreset, reach_preset, with_gate
 from mjx_grasp.robot.spec import HandSpec, RobotSpec
 
 CANDIDATES = 1024
@@ -85,7 +85,8 @@ def whole_grasps(
         lesser_scores=lesser,
         approach=approach,
     )
-    return replace(settings, plan=plan)
+    gate = replace(settings.reach.controller.gate, stalled_tips=0.035)
+    return with_gate(replace(settings, plan=plan), gate)
 
 
 def grasper_of(

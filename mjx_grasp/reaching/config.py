@@ -160,6 +160,9 @@ class HandoffGate(Settings):
     """fine-adjustment timer from which the following is enough [s]"""
     late_tips: NonNegative = 0.050
     """largest tip error with which it then is [m]"""
+    stalled_tips: NonNegative = 0.0
+    """largest tip error with which it is where progress stalls, in place of another plan: what the
+    hand can do is done, and closing may make up for the rest; never in the paper [m]"""
 
 
 @dataclass(frozen=True)

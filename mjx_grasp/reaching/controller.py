@@ -356,7 +356,6 @@ class Reacher:
         running = state.outcome == ReachOutcome.RUNNING
         clock = state.clock + config.dt
         timed_out = now.timer >= config.fine_timeout
-        hands_off = now.ready & config.hands_off
 
         # Ahead on the guide's way or nearer with the tips: either is progress.
         to_go = jnp.stack([now.to_go, now.error / self.config.fields.speed])
@@ -366,6 +365,8 @@ class Reacher:
         best = jnp.where(afresh, jnp.inf, jnp.where(improves, to_go, state.best))
         since = jnp.where(jnp.any(improves) | afresh, 0.0, state.since + config.dt)
         stalls = since >= config.stall_time
+        as_near_as_it_gets = stalls & (now.error <= config.gate.stalled_tips)
+        hands_off = (now.ready | as_near_as_it_gets) & config.hands_off
         again = jnp.where(timed_out, config.reselect_late, stalls)
         again &= running & ~hands_off & (state.tries < config.reselections)
         late = clock >= config.timeout

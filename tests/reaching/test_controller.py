@@ -126,6 +126,24 @@ def test_without_that_rule_or_with_a_moving_object_it_waits_for_the_time_out(rea
     assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 
 
+@pytest.mark.parametrize("tips", [0.0, 0.035])
+def test_where_progress_stalls_fairly_near_tips_are_handed_off_and_others_go_elsewhere(
+    reacher, tips
+):
+    gate = HandoffGate(midpoint=0.0, late=np.inf, stalled_tips=tips)
+    stalls = _with(reacher, gate=gate, fine_timeout=np.inf, stall_time=0.2, stall_error=0.0)
+    run = _reach(stalls, CENTRE, 500)
+    ended = run["outcome"] == ReachOutcome.HANDOFF
+    assert ended.any() == (tips > 0) and run["tries"][-1] == (0 if tips > 0 else 1)
+    assert not run["ready"].any(), "it is no gate that opens: where a reach goes on it does go on"
+    if tips > 0:
+        at, error = int(np.argmax(ended)), run["error"].max(axis=1)
+        config = stalls.config
+        gained = error[at - round(0.2 / config.controller.dt) : at + 1].max() - error[at]
+        assert error[at] <= tips
+        assert gained <= config.controller.stall_progress * config.fields.speed + 1e-5
+
+
 @pytest.mark.parametrize("ends", [True, False])
 def test_a_reach_can_go_on_where_it_would_hand_off(reacher, ends):
     wide = _with(reacher, gate=HandoffGate(midpoint=10.0), hands_off=ends)

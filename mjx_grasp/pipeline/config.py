@@ -27,7 +27,7 @@ class GrasperConfig(Settings):
     back to reaching: the object is elsewhere [m]"""
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
-    retries: WholeNumber = 1
+    retries: WholeNumber = 3
     """times that a grasp which was not reached, found no contact or lost the object is begun again,
     in the latter cases away from its thumb's contact [-]"""
     avoided: NonNegative = 0.020

@@ -261,7 +261,7 @@ def test_presets_change_what_they_must_and_no_more(monkeypatch, gpu):
             == task
             | {
                 "paper": TASK_OF_PAPER,
-                "cpu": TASK_THAT_FEELS,
+                "cpu": TASK_THAT_FEELS | {"reward.hard": -1.0},
                 "gpu": TASK_THAT_FEELS,
             }[name]
         )

@@ -2,14 +2,13 @@
 
 import importlib
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from on_cores import run_on_cores
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ROOT / "experiments"
@@ -82,23 +81,13 @@ def test_a_killed_run_loses_nothing_that_was_finished(case, tmp_path, monkeypatc
 @pytest.mark.long
 @pytest.mark.parametrize("name", FLAGS)
 def test_two_processes_write_what_one_does(name, tmp_path):
-    """A core each: on several, sums of the compiled code may be rounded otherwise."""
-    cores = sorted(os.sched_getaffinity(0))
-    if len(cores) < 2:
-        pytest.skip("needs two cores")
+    """A core each."""
     found = []
     for n in (1, 2):
         command = [sys.executable, EXPERIMENTS / f"{name}.py", *FLAGS[name].split()]
         command += ["--processes", n, "--out", tmp_path / f"{n}.json"]
         command += ["--picture", tmp_path / f"{n}.png"] if name == "lift_stability" else []
-        os.sched_setaffinity(0, cores[:n])  # what is started now has those
-        try:
-            done = subprocess.run(
-                list(map(str, command)), capture_output=True, text=True, timeout=900, check=False
-            )
-        finally:
-            os.sched_setaffinity(0, cores)
-        assert done.returncode == 0, done.stderr
+        run_on_cores(command, n)
         found.append(json.loads((tmp_path / f"{n}.json").read_text())["rows"])
     assert found[0] == found[1] and found[0]
     pictures = [path.read_bytes() for path in tmp_path.glob("*.png")]

@@ -34,6 +34,9 @@ class ObservationConfig(Settings):
     """whether the surface's normals there do, in the same frame"""
     arm: bool = False
     """whether the positions of the arm's joints do"""
+    truth: bool = False
+    """whether all that a critic may read does, contact forces, the object's pose and friction
+    among it: no robot knows them; with it training tells what more sensing could bring at most"""
     ticks_ago: Annotated[tuple[WholeNumber, ...], Several(ascending=True, strictly=True)] = (0, 1)
     """the ticks that are stacked, the newest first [-]"""
 

@@ -35,6 +35,17 @@ def load_controller(path: Path, robot: RobotSpec) -> Policy:
     return policy
 
 
+def check_deployable(path: Path, task: TaskConfig) -> None:
+    """Refuses a policy that reads what no robot knows.
+
+    Raises:
+        FileError: It was trained with `observation.truth`.
+    """
+    if task.observation.truth:
+        found = "a policy that reads what only a simulator knows (observation.truth)"
+        raise FileError(path, found, "one that reads what a robot measures")
+
+
 def policy_task(policy: Policy) -> TaskConfig:
     """The task a policy was trained in, as its file says.
 

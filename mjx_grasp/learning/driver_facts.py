@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.controller import check_deployable, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import command_line, file_digests, git_revision, versions
 from mjx_grasp.records.settings import to_record
@@ -31,8 +31,12 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
     Returns:
         Texts of JSON by name: `format`, `robot`, `joints`, `observed_joints`, `acted_joints`,
         `control`, `observation`, `action`, `force_budget`, `task`, `policy`, `exported`.
+
+    Raises:
+        FileError: It reads what no robot knows.
     """
     task = policy_task(policy)
+    check_deployable(file, task)
     observed, acted = observation_layout(robot, task), action_layout(robot, task)
     facts = {
         "format": {"name": "mjx_grasp policy export", "version": VERSION},

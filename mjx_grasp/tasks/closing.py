@@ -322,7 +322,8 @@ class ClosingTask:
     def _observe(self, state: ClosingState) -> Observations:
         episode, closer = state.episode, state.closer
         proprio = observation(episode.stack, episode.budget, self.config.observation)
-        if not self._with_privileged:
+        told = self.config.observation.truth
+        if not (self._with_privileged or told):
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
         force = self.closer.grip_force(closer)
@@ -343,7 +344,8 @@ class ClosingTask:
                 *((force * 0.2, episode.budget * 0.2) if self._feels else ()),
             ),
         )
-        return {"state": proprio, "privileged_state": critic}
+        seen = {"state": critic if told else proprio}
+        return seen | ({"privileged_state": critic} if self._with_privileged else {})
 
     def _start_arrays(self, draw: StartDraw) -> tuple[Float[Array, "w nq"], Float[Array, "w nu"]]:
         at, k = self.physics.scene.addresses, self._beginning(draw)

@@ -22,7 +22,12 @@ def policy_sizes(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[int, int]
     actions, seen = action_size(robot_indices(robot), config.action), config.observation
     step = 2 * joints + actions + seen.forces * (2 * fingers + 1)
     step += (seen.targets + seen.normals) * 3 * fingers + seen.arm * arm
-    return len(seen.ticks_ago) * step + seen.budget, actions
+    known = _SCALARS + 2 * seen.forces + 3 * (2 + 4 * fingers) + 7 + 2 * fingers
+    return len(seen.ticks_ago) * step + seen.budget + seen.truth * known, actions
+
+
+_SCALARS = 7
+"""Of `privileged`, of a task that feels no forces."""
 
 
 def privileged(
@@ -36,7 +41,7 @@ def privileged(
     """The critic's observation in the default preset: the same, and what a simulator knows.
 
     Object pose and velocity, targets and pads relative to the palm, contact flags and forces. The
-    policy never sees it.
+    policy never sees it, but where `ObservationConfig.truth` says so.
 
     Args:
         proprio: The policy's observation.

@@ -16,8 +16,9 @@ from typed import refusal
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.learning import export
-from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.driver_facts import budget_facts, joint_facts
 from mjx_grasp.learning.export import ExportConfig, export_policy, trial_observations
 from mjx_grasp.learning.numpy_policy import NumpyPolicy
@@ -25,6 +26,7 @@ from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.tasks.config import ClosingTaskConfig
 from mjx_grasp.tasks.layout import Segment, observation_layout
+from mjx_grasp.tasks.observation import policy_sizes
 
 onnxruntime = pytest.importorskip("onnxruntime")
 pytest.importorskip("jax2onnx")
@@ -168,6 +170,26 @@ def test_another_task_than_is_known_here_is_refused(tmp_path, monkeypatch, capsy
     rewrite(path, lambda _, header: header["meta"]["task"].update(juggling=2), sign=True)
     status, said = refusal(monkeypatch, capsys, "export", path, "--out", "new.onnx")
     assert status == 2 and "foreign.npz" in said and "juggling" in said
+
+
+def test_a_policy_that_reads_what_no_robot_knows_is_refused(tmp_path, monkeypatch, capsys, robot):
+    policy, path = load_policy(SHIPPED), tmp_path / "told.npz"
+    task = policy_task(policy)
+    task = replace(task, observation=replace(task.observation, truth=True))
+    more = policy_sizes(robot, task)[0] - policy.observation_size
+    told = replace(
+        policy,
+        mean=np.pad(policy.mean, (0, more)),
+        std=np.pad(policy.std, (0, more), constant_values=1.0),
+        weights=(np.pad(policy.weights[0], ((0, more), (0, 0))), *policy.weights[1:]),
+        meta=policy.meta | {"task": to_record(task)},
+    )
+    told.save(path)
+    assert load_controller(path, robot).observation_size > policy.observation_size
+    status, said = refusal(monkeypatch, capsys, "export", path, "--out", "new.onnx")
+    assert status == 2 and "told.npz" in said and "observation.truth" in said
+    with pytest.raises(FileError, match="told.npz"):
+        loaded_policy(robot, path)
 
 
 def test_a_policy_of_another_robot_is_refused(tmp_path_factory, monkeypatch, capsys):

@@ -148,6 +148,22 @@ def test_policies_see_what_their_task_says(scene, starts, seen, size):
         np.testing.assert_allclose(tick.obs["state"][:, -1], [0.4, 0.8])
 
 
+@pytest.mark.parametrize("seen", [ObservationConfig(), ObservationConfig(forces=True, budget=True)])
+def test_a_policy_that_is_told_the_truth_reads_what_the_critic_reads(scene, starts, seen):
+    config = ClosingTaskConfig(grip=REACTING, observation=replace(seen, truth=True))
+    physics = ScriptedPhysics(scene, still(starts, [0, 1], 3))
+    task = ClosingTask(physics, starts, config)
+    state, obs = task.start(draw_of([0, 1]))
+    _, tick = task.tick(state, jnp.zeros((2, 15)))
+    for given in (obs, tick.obs):
+        np.testing.assert_array_equal(given["state"], given["privileged_state"])
+        assert given["state"].shape[1] == policy_sizes(scene.robot, config)[0]
+    alone = ClosingTask(physics, starts, config, with_privileged=False)
+    _, judged = alone.start(draw_of([0, 1]))
+    assert judged.keys() == {"state"}
+    np.testing.assert_array_equal(judged["state"], obs["state"])
+
+
 def test_a_tight_budget_costs_and_a_wide_one_does_not(scene, starts):
     prices = RewardConfig(over_budget=-0.5, held=1.0, force=-0.1, spent=-0.3)
     config = ClosingTaskConfig(reward=prices)

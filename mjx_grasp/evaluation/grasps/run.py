@@ -8,7 +8,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController, check_closing
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import check_deployable, load_controller, policy_task
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
@@ -56,7 +56,7 @@ def loaded_grasper(
         approach: From where the palm is to come.
 
     Raises:
-        FileError: The policy is unreadable, or of another robot or task.
+        FileError: The policy is unreadable, of another robot or task, or reads what no robot knows.
     """
     reaching = whole_grasps(steered=steered, approach=approach)
     if file is None:
@@ -75,10 +75,11 @@ def loaded_policy(
         budget: Mean force per finger that a policy which knows a budget may take [N].
 
     Raises:
-        FileError: The policy is unreadable, or of another robot or task.
+        FileError: The policy is unreadable, of another robot or task, or reads what no robot knows.
     """
     policy = load_controller(file, robot)
     task = policy_task(policy)
     if isinstance(task, EndToEndConfig):
         raise FileError(file, "a policy that reaches by itself", "one of the closing task")
+    check_deployable(file, task)
     return task, LearnedPolicy(policy, task.observation, budget)

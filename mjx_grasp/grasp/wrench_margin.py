@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.linear import full_precision, solve_spd
-from mjx_grasp.geometry.vectors import dot, norm
+from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.records.settings import NonNegative, Positive, Settings
 
 _LEAST_SCALE = 1e-4  # m: contacts that all lie on the centre of mass still have a length
@@ -84,6 +84,34 @@ def holding_force(
     against = -push / jnp.where(size > 0, size, 1.0)
     held = _held_load(jnp.asarray(contact) - point, jnp.asarray(inward), against, config)
     return jnp.where(size > 0, size / held, 0.0)
+
+
+@full_precision
+def about_holding_force(
+    contact: Float[Array | np.ndarray, "*b 3 3"], load: Load, config: ContactConfig
+) -> Float[Array, "*b"]:
+    """A closed-form estimate of `holding_force`, thousands of times cheaper, to rank contacts [N].
+
+    As if thumb and wraps opposed each other exactly: friction bears the load, and its torque about
+    their middle is borne along each axis by what has a lever there. The three forces add up.
+
+    Args:
+        contact: Thumb, first and second wrap [m].
+        load: What has to be balanced, in the frame of the contacts.
+        config: Friction.
+    """
+    contact, push = jnp.asarray(contact), jnp.asarray(load.force)
+    thumb, wraps = contact[..., 0, :], 0.5 * (contact[..., 1, :] + contact[..., 2, :])
+    between = contact[..., 1, :] - contact[..., 2, :]
+    width, spread = norm(wraps - thumb), 0.5 * norm(between)
+    axis, along = unit(wraps - thumb), unit(between)
+    torque = jnp.cross(jnp.asarray(load.point) - 0.5 * (thumb + wraps), push)
+    straight = jnp.abs(dot(axis, push))
+    across = norm(push - dot(axis, push)[..., None] * axis)
+    turning = jnp.abs(dot(axis, torque)) / (2 * config.torsion + config.friction * spread)
+    tilting = jnp.abs(dot(along, torque)) / jnp.maximum(config.friction * width, _LEAST_SCALE)
+    rolling = jnp.abs(dot(jnp.cross(axis, along), torque)) / jnp.maximum(spread, _LEAST_SCALE)
+    return across / (2 * config.friction) + straight + turning + tilting + rolling
 
 
 @full_precision

@@ -80,6 +80,8 @@ def whole_grasps(
         haste=6.0,
         touch_weight=200.0,
         hold_weight=8.0,
+        press_weight=4.0,
+        light=7.0,
         edge_weight=800.0,
         lesser_cost=35.0,
         lesser_scores=lesser,

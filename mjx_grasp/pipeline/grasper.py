@@ -120,7 +120,7 @@ class Grasper:
         if self.planner is None:
             return None
         still = jnp.zeros((len(seen.obstacles), 3))
-        around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo, known.com)
+        around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo, known.com, known.weight)
         around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
         candidates = known.candidates
         if avoid is not None:

@@ -48,6 +48,8 @@ class Body:
     """position limits [rad]"""
     velocity_limit: Float[np.ndarray, " joints"]
     """[rad/s]"""
+    torque_limit: Float[np.ndarray, " joints"]
+    """of its motor [N m]"""
     home: Float[np.ndarray, " joints"]
     """the arm at home with the hand open [rad]"""
     arm: Bool[np.ndarray, " joints"]
@@ -145,6 +147,8 @@ def robot_body(robot: RobotSpec) -> Body:
     far_names = tuple(model.body(arm[n].body).name for n in far)
     spheres = [part for b in (palm, *finger_bodies) for part in filled(model, b)]
     joints = [model.joint(name) for name in robot.joints]
+    motors = [model.actuator(name).id for name in robot.joints]
+    torque = np.abs(model.actuator_forcerange[motors]).min(axis=1)
     indices = robot_indices(robot)
     return Body(
         robot=robot,
@@ -154,6 +158,9 @@ def robot_body(robot: RobotSpec) -> Body:
         lower=np.array([j.range[0] for j in joints], np.float32),
         upper=np.array([j.range[1] for j in joints], np.float32),
         velocity_limit=np.array(robot.velocity_limits, np.float32),
+        torque_limit=np.where(model.actuator_forcelimited[motors], torque, np.inf).astype(
+            np.float32
+        ),
         home=np.array(robot.home, np.float32),
         arm=indices.mask(indices.arm),
         grasping=indices.mask(indices.grasping),

@@ -40,6 +40,8 @@ class Surroundings(NamedTuple):
     """of their centres [m/s]"""
     com: Float[Array, " 3"] | None = None
     """the object's centre of mass, in its own frame; its origin if None [m]"""
+    weight: Float[Array, ""] | None = None
+    """the object's, 0 or None where it is not known [N]"""
 
     @classmethod
     def still(
@@ -48,10 +50,11 @@ class Surroundings(NamedTuple):
         p_wo: Float[Array, " 3"],
         R_wo: Float[Array, "3 3"],
         com: Float[Array, " 3"] | None = None,
+        weight: Float[Array, ""] | None = None,
     ) -> Surroundings:
         """An object at rest and nothing else."""
         none = jnp.zeros((0, 4)), jnp.zeros((0, 3))
-        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none, com)
+        return cls(shape, p_wo, R_wo, jnp.zeros(6), *none, com, weight)
 
     def after(self, dt: float) -> Surroundings:
         """The world that much later, if everything moves on as it does, [s]."""

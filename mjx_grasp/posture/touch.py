@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from mjx_grasp.robot.indices import robot_indices
 _ITERATIONS = 25
 _LONGEST_STEP = 0.3  # rad
 _DAMPING = 1e-5  # m²
+_LEAST_LEVER = 1e-6  # m
 _PADS = np.arange(FINGERS, 2 * FINGERS)  # among the body's frames
 
 
@@ -22,7 +25,24 @@ _PADS = np.arange(FINGERS, 2 * FINGERS)  # among the body's frames
 def touch_errors(
     body: Body, q: Float[Array | np.ndarray, " joints"], contacts: Float[Array | np.ndarray, "f 3"]
 ) -> Float[Array, " f"]:
-    """How far each pad stays from its contact when its finger does what it can, palm at rest [m].
+    """How far each pad stays from its contact in `touching`, which has the arguments [m]."""
+    return touching(body, q, contacts).error
+
+
+class Touching(NamedTuple):
+    """Fingers that have closed as far as they can."""
+
+    error: Float[Array, " f"]
+    """of each pad from its contact [m]"""
+    q: Float[Array, " joints"]
+    """[rad]"""
+
+
+@full_precision
+def touching(
+    body: Body, q: Float[Array | np.ndarray, " joints"], contacts: Float[Array | np.ndarray, "f 3"]
+) -> Touching:
+    """Closes the fingers on their contacts as far as each can, palm at rest.
 
     Gauss–Newton over the joints that the policy moves, those at a limit held there. Collisions do
     not count. One posture; many are a ``vmap``.
@@ -52,4 +72,24 @@ def touch_errors(
         return q.at[joints].set(jnp.clip(now + turn, lower, upper)), None
 
     closed, _ = jax.lax.scan(step, jnp.asarray(q), length=_ITERATIONS)
-    return norm(missing(closed)[0])
+    return Touching(norm(missing(closed)[0]), closed)
+
+
+@full_precision
+def pressing_force(
+    body: Body, q: Float[Array | np.ndarray, " joints"], inward: Float[Array, "f 3"]
+) -> Float[Array, " f"]:
+    """The most that the motors of each finger can press along a direction, palm at rest [N].
+
+    By the motor that comes to its limit first; +inf where none has one.
+
+    Args:
+        body: The robot.
+        q: Configuration [rad].
+        inward: Unit directions of thumb, first and second wrap, world [-].
+    """
+    motion = body.kinematics.motion(jnp.asarray(q))
+    jacobian = body.point_jacobians(motion, _PADS, motion.pos[_PADS])
+    torque = jnp.abs(jnp.einsum("fcj,fc->fj", jacobian, inward))[:, ~body.arm]
+    limit = jnp.asarray(body.torque_limit)[~body.arm]
+    return jnp.min(limit / jnp.maximum(torque, _LEAST_LEVER), axis=1)

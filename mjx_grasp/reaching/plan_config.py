@@ -50,6 +50,16 @@ class PlanConfig(Settings):
     """of the contacts in that force [-]"""
     hold_most: Positive = 5.0
     """contacts that ask for more force, or cannot hold the object, count as this much [-]"""
+    press_weight: NonNegative = 0.0
+    """time that a newton counts as by which the thumb's motors press less than the contacts ask for
+    to hold an object of known weight; by default that is not looked at [s/N]"""
+    press_friction: Positive = 0.5
+    """of the contacts in that force [-]"""
+    light: PositiveOrNever = float("inf")
+    """estimated force up to which any contacts will do; where they ask for more, those are looked
+    for first that do not ask for much more than the least of them; by default never [N]"""
+    heavier: Positive = 1.25
+    """times that least: not much more [-]"""
     edge_weight: NonNegative = 0.0
     """time that it counts as where the surface falls away near a contact, by the largest distance
     to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""

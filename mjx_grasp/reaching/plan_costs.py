@@ -11,13 +11,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.signed_distance import signed_distance
-from mjx_grasp.geometry.vectors import unit
-from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
+from mjx_grasp.geometry.vectors import norm, unit
+from mjx_grasp.grasp.wrench_margin import (
+    ContactConfig,
+    Load,
+    about_holding_force,
+    holding_force,
+)
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.ik import IkSolution
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings, to_object
-from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.posture.touch import pressing_force, touching
 from mjx_grasp.reaching.approach import deviation
 from mjx_grasp.reaching.plan_config import PlanConfig
 
@@ -52,15 +57,22 @@ def attempt_costs(
 
 
 def closing_costs(
-    body: Body, plan: PlanConfig, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
+    body: Body,
+    plan: PlanConfig,
+    q: Float[Array, "n joints"],
+    contacts: Float[Array, "n 3 3"],
+    normals: Float[Array, "n 3 3"],
+    around: Surroundings,
 ) -> Float[Array, " n"]:
-    """What postures lack in their approach, and for closing and lifting after them [s].
+    """What postures lack in their approach, and for closing, pressing and lifting after them [s].
 
     Args:
         body: The robot.
         plan: The search's settings.
         q: Postures in front of the contacts [rad].
         contacts: Thumb, index and middle, world [m].
+        normals: Outward unit normals of the surface there, world [-].
+        around: Object and obstacles.
     """
     lacking = late = jnp.zeros(len(q))
     if plan.approach != "any":
@@ -69,11 +81,40 @@ def closing_costs(
     if np.isfinite(plan.lift_error):
         lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
         lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
+    weight = around.weight if plan.press_weight > 0 else None
+    if not np.isfinite(plan.touch_error) and weight is None:
+        return _LACKING * lacking
+    closed = jax.vmap(lambda q, at: touching(body, q, at))(q, contacts)
     if np.isfinite(plan.touch_error):
-        touch = jax.vmap(lambda q, at: jnp.max(touch_errors(body, q, at)))(q, contacts)
+        touch = jnp.max(closed.error, axis=1)
         lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
         late = plan.touch_weight * touch
+    if weight is not None:
+        load = _pull(around, weight)
+        late = late + _press_costs(body, plan, closed.q, contacts, normals, load)
     return _LACKING * lacking + late
+
+
+def light_enough(
+    plan: PlanConfig,
+    admissible: Bool[Array, " v"],
+    contacts: Float[Array, "v 3 3"],
+    around: Surroundings,
+) -> Bool[Array, " v"]:
+    """Which contacts ask for little force, or for not much more than the least of them.
+
+    Args:
+        plan: The search's settings.
+        admissible: Which may be used at all.
+        contacts: Thumb, index and middle, world [m].
+        around: Object and obstacles.
+    """
+    if not np.isfinite(plan.light) or around.weight is None:
+        return jnp.ones(len(contacts), bool)
+    contact = ContactConfig(friction=plan.press_friction)
+    force = about_holding_force(contacts, _pull(around, around.weight), contact)
+    least = jnp.min(jnp.where(admissible, force, jnp.inf))
+    return force <= jnp.maximum(plan.light, plan.heavier * least)
 
 
 def slip_costs(
@@ -92,9 +133,7 @@ def slip_costs(
     """
     lacking = jnp.zeros(len(contacts))
     if plan.hold_weight > 0:
-        com = jnp.zeros(3) if around.com is None else around.com
-        load = Load(jnp.array([0.0, 0.0, -1.0]), around.p_wo + around.R_wo @ com)
-        contact = ContactConfig(friction=plan.hold_friction)
+        load, contact = _pull(around, 1.0), ContactConfig(friction=plan.hold_friction)
         force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
         # The thumb bears half the weight, and of walls that stand upright by friction alone.
         excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
@@ -104,6 +143,34 @@ def slip_costs(
         falls = signed_distance(around.shape, to_object(around, circle))
         lacking = lacking + plan.edge_weight * jnp.max(falls, axis=(1, 2), initial=0.0)
     return lacking
+
+
+def _press_costs(
+    body: Body,
+    plan: PlanConfig,
+    q: Float[Array, "n joints"],
+    contacts: Float[Array, "n 3 3"],
+    normals: Float[Array, "n 3 3"],
+    load: Load,
+) -> Float[Array, " n"]:
+    """What the thumb lacks to press as hard as contacts ask for to hold the known weight [s]."""
+    contact = ContactConfig(friction=plan.press_friction)
+
+    def lacking(
+        q: Float[Array, " joints"], at: Float[Array, "3 3"], normal: Float[Array, "3 3"]
+    ) -> Float[Array, ""]:
+        needed = holding_force(at, -normal, load, contact)
+        return jnp.maximum(needed - pressing_force(body, q, -normal)[0], 0.0)
+
+    # Contacts that cannot hold it at all count as asking for a finite force.
+    most = plan.hold_most * norm(load.force)
+    return plan.press_weight * jnp.minimum(jax.vmap(lacking)(q, contacts, normals), most)
+
+
+def _pull(around: Surroundings, weight: Float[Array, ""] | float) -> Load:
+    """A weight at the object's centre of mass, world."""
+    com = jnp.zeros(3) if around.com is None else around.com
+    return Load(jnp.array([0.0, 0.0, -1.0]) * weight, around.p_wo + around.R_wo @ com)
 
 
 def circles(

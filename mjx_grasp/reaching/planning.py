@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
@@ -30,7 +31,13 @@ from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.plan_config import PlanConfig
-from mjx_grasp.reaching.plan_costs import FAILED, attempt_costs, closing_costs, slip_costs
+from mjx_grasp.reaching.plan_costs import (
+    FAILED,
+    attempt_costs,
+    closing_costs,
+    light_enough,
+    slip_costs,
+)
 
 
 class Search(NamedTuple):
@@ -104,26 +111,29 @@ class Planner:
         """
         enough = self.reacher.selection.min_score
 
-        def among(least: Float[Array, ""]) -> Search:
+        def among(least: Float[Array, ""], light: Bool[Array, ""]) -> Search:
             raised = jnp.maximum(candidates.score, enough)
             score = jnp.where(candidates.valid & (candidates.score >= least), raised, 0.0)
-            return self._search(library, candidates._replace(score=score), around, q, key)
+            return self._search(library, candidates._replace(score=score), light, around, q, key)
 
-        if not self.config.lesser_scores:
-            return self._search(library, candidates, around, q, key)
-        least = jnp.asarray((enough, *self.config.lesser_scores), jnp.float32)
+        light, lesser = np.isfinite(self.config.light), self.config.lesser_scores
+        if not (light or lesser):
+            return self._search(library, candidates, jnp.asarray(False), around, q, key)
+        firsts = (True, False) if light else (False,)
+        least = jnp.asarray((*(enough for _ in firsts), *lesser), jnp.float32)
+        only = jnp.asarray((*firsts, *(False for _ in lesser)))
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
             return (tried[0] < len(least)) & (tried[1].cost[0] >= self.config.lesser_cost)
 
         def again(tried: tuple[Int[Array, ""], Search]) -> tuple[Int[Array, ""], Search]:
-            found = among(least[tried[0]])
+            found = among(least[tried[0]], only[tried[0]])
             better = found.cost[0] < tried[1].cost[0]
             best = jax.tree.map(lambda new, old: jnp.where(better, new, old), found, tried[1])
             return tried[0] + 1, best
 
         nothing = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0])
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0], only[0])
         )
         nothing = nothing._replace(cost=jnp.full_like(nothing.cost, jnp.inf))
         return jax.lax.while_loop(in_vain, again, (jnp.int32(0), nothing))[1]
@@ -132,15 +142,19 @@ class Planner:
         self,
         library: Library,
         candidates: Candidates,
+        light: Bool[Array, ""],
         around: Surroundings,
         q: Float[Array, " joints"],
         key: Array,
     ) -> Search:
-        """The same among the candidates of the selection's least score."""
+        """The same among the candidates of the selection's least score, or the light of them."""
         plan, body = self.config, self.reacher.body
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options
-        starts = choose_starts(body, library, plan.starts, ways.options, around, q, key)
+        at = around.p_wo + ways.targets.position @ around.R_wo.T
+        allowed = allowed & (light_enough(plan, allowed, at, around) | ~light)
+        options = Options(goals, allowed)
+        starts = choose_starts(body, library, plan.starts, options, around, q, key)
         option, home = starts.option, jnp.asarray(body.home)
 
         def attempts(
@@ -160,10 +174,10 @@ class Planner:
             _, best = jax.lax.top_k(-cost, plan.finalists)
             option, start = option[best], begun.q[best]
         found = attempts(option, start, plan.ik.iterations)
-        position = around.p_wo + ways.targets.position[option] @ around.R_wo.T
+        position = at[option]
         normal = ways.targets.normal[option] @ around.R_wo.T
         cost = attempt_costs(body, plan, allowed[option], found, q)
-        cost = cost + closing_costs(body, plan, found.q, position)
+        cost = cost + closing_costs(body, plan, found.q, position, normal, around)
         cost = cost + slip_costs(plan, position, normal, around)
 
         def guide(k: Int[Array, ""]) -> Guide:

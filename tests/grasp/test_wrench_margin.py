@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from mjx_grasp.grasp.wrench_margin import (
     ContactConfig,
     Load,
+    about_holding_force,
     holding_force,
     worst_holding_force,
 )
@@ -178,3 +179,35 @@ def test_a_push_from_any_side_costs_force():
     assert calm == pytest.approx(plain, rel=5e-3)
     assert pushed >= 1.5 * 5 / (2 * CONFIG.friction) * 0.99
     assert np.isfinite(pushed)
+
+
+def test_the_estimate_ranks_contacts_as_the_programme_does():
+    """Loads across the grasp axis, as weights mostly are."""
+    contact, inward, load, point = some(8, 200)
+    axis = contact[:, 1:].mean(axis=1) - contact[:, 0]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    load -= np.sum(load * axis, axis=1, keepdims=True) * axis
+    exact = np.asarray(batched(contact, inward, load, point))
+    about = np.asarray(about_holding_force(contact, Load(load, point), CONFIG))
+    holds = np.isfinite(exact) & (exact < 20 * np.linalg.norm(load, axis=1))
+    ranks = [np.argsort(np.argsort(x[holds])) for x in (exact, about)]
+    assert holds.sum() > 100 and np.corrcoef(*ranks)[0, 1] > 0.7
+
+
+def test_the_estimate_is_exact_where_friction_alone_bears_a_load_at_the_middle():
+    contact, inward = pair()
+    load, point = np.float32([0, 0, -3.0]), np.zeros(3, np.float32)
+    about = float(about_holding_force(contact, Load(load, point), CONFIG))
+    assert about == pytest.approx(3.0 / (2 * CONFIG.friction), rel=1e-5)
+    assert about == pytest.approx(float(force(contact, inward, load, point)), rel=0.02)
+
+
+@few
+@given(seeds, st.tuples(*[st.floats(-1, 1)] * 3), st.floats(0.1, 50.0))
+def test_the_estimate_is_proportional_and_the_same_in_every_frame(seed, shift, times):
+    contact, _, load, point = (column[0] for column in some(seed))
+    R, shift = Rotation.random(random_state=seed).as_matrix(), np.array(shift)
+    once = float(about_holding_force(contact, Load(load, point), CONFIG))
+    moved = Load(np.float32(times * load @ R.T), np.float32(R @ point + shift))
+    many = float(about_holding_force(np.float32(contact @ R.T + shift), moved, CONFIG))
+    assert many == pytest.approx(times * once, rel=1e-2)

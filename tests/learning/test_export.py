@@ -188,7 +188,7 @@ def test_a_policy_that_reads_what_no_robot_knows_is_refused(tmp_path, monkeypatc
     assert load_controller(path, robot).observation_size > policy.observation_size
     status, said = refusal(monkeypatch, capsys, "export", path, "--out", "new.onnx")
     assert status == 2 and "told.npz" in said and "observation.truth" in said
-    with pytest.raises(FileError, match="told.npz"):
+    with pytest.raises(FileError, match=r"told\.npz"):
         loaded_policy(robot, path)
 
 

@@ -458,7 +458,7 @@ def test_half_of_a_steered_grasps_candidates_are_the_anchors_best():
 class _Finds(Planner):
     """Finds a posture for every candidate of enough score that its `thumb` says is within reach."""
 
-    def _search(self, library, candidates, around, q, key):
+    def _search(self, library, candidates, light, around, q, key):
         least = self.reacher.selection.min_score
         possible = (candidates.score >= least) & (candidates.thumb[:, 0] > 0)
         cost = jnp.where(possible, 1.0 + 0.1 * jnp.arange(len(possible)), 1e4)
@@ -499,7 +499,7 @@ def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs
     """Of a candidate with a low score and of one with a high score."""
 
     class Costly(_Finds):
-        def _search(self, library, candidates, around, q, key):
+        def _search(self, library, candidates, light, around, q, key):
             cost = jnp.where(candidates.score >= 0.5, jnp.array(costs, float), 1e4)
             return _Found(jnp.sort(cost)[:2], jnp.argsort(cost)[:2])
 
@@ -508,6 +508,25 @@ def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs
         replace(PlanConfig(), lesser_scores=(0.0,), lesser_cost=15.0),
     )
     candidates = SimpleNamespace(score=jnp.array([0.1, 0.9]), valid=jnp.ones(2, bool))
+    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+    assert planner.search(0, candidates, None, None, None).cost[0] == expected
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(("costs", "expected"), [((5, 3), 5), ((20, 3), 3), ((20, 30), 20)])
+def test_contacts_that_ask_for_little_force_are_looked_for_first(costs, expected):
+    """What is found among them, and among all."""
+
+    class Costly(_Finds):
+        def _search(self, library, candidates, light, around, q, key):
+            cost = jnp.where(light, *jnp.array(costs, float))
+            return _Found(cost[None], jnp.zeros(1, int))
+
+    planner = Costly(
+        SimpleNamespace(selection=SimpleNamespace(min_score=0.5)),
+        replace(PlanConfig(), light=0.1, lesser_cost=15.0),
+    )
+    candidates = SimpleNamespace(score=jnp.array([0.9]), valid=jnp.ones(1, bool))
     candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
     assert planner.search(0, candidates, None, None, None).cost[0] == expected
 

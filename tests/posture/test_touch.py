@@ -1,11 +1,14 @@
 """What a finger can touch from a posture: its own reach and no more, whatever the others do."""
 
+from dataclasses import replace
+
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.posture.touch import pressing_force, touch_errors, touching
 from mjx_grasp.robot.indices import robot_indices
 
 
@@ -61,3 +64,40 @@ def test_batched_and_looped_agree(body, errors):
     q, contacts = folded(body, 3, 2), pads_of(body, folded(body, 3, 3))
     alone = [np.asarray(touch_errors(body, *one)) for one in zip(q, contacts, strict=True)]
     np.testing.assert_allclose(np.asarray(errors(q, contacts)), alone, atol=1e-4)
+
+
+def test_fingers_end_where_it_says(body, errors):
+    q, contacts = folded(body, 4, 4), pads_of(body, folded(body, 4, 5))
+    closed = np.asarray(jax.vmap(lambda *one: touching(body, *one).q)(q, contacts))
+    missing = np.linalg.norm(contacts - pads_of(body, closed), axis=-1)
+    np.testing.assert_allclose(missing, np.asarray(errors(q, contacts)), atol=1e-5)
+    joints = robot_indices(body.robot).fingers
+    np.testing.assert_array_equal(np.delete(closed, joints, 1), np.delete(q, joints, 1))
+
+
+def test_what_a_finger_presses_takes_one_motor_to_its_limit(body):
+    """MuJoCo turns forces on the pads into joint torques."""
+    model = mujoco.MjModel.from_xml_path(str(body.robot.mjcf))
+    data = mujoco.MjData(model)
+    motors = [model.actuator(name).id for name in body.robot.joints]
+    limit = model.actuator_forcerange[motors, 1]
+    rng = np.random.default_rng(6)
+    for q in folded(body, 6, 7):
+        inward = rng.normal(size=(3, 3))
+        inward = np.float32(inward / np.linalg.norm(inward, axis=1, keepdims=True))
+        most = np.asarray(pressing_force(body, q, jnp.asarray(inward)))
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        for k, finger in enumerate(body.robot.hand.fingers):
+            site, torque = data.site(finger.pad_site), np.zeros(model.nv)
+            at = model.site_bodyid[site.id]
+            push = most[k] * inward[k].astype(float)
+            mujoco.mj_applyFT(model, data, push, np.zeros(3), site.xpos, at, torque)
+            share = np.abs(torque / limit)[~body.arm]
+            assert share.max() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_motors_without_limits_press_as_hard_as_one_likes(body):
+    free = replace(body, torque_limit=np.full_like(body.torque_limit, np.inf))
+    inward = np.tile(np.float32([0, 0, 1]), (3, 1))
+    assert np.isinf(pressing_force(free, body.home, jnp.asarray(inward))).all()

@@ -12,14 +12,14 @@ import pytest
 from mjx_grasp.evaluation.reach.poses import draw_poses
 from mjx_grasp.evaluation.reach.sweep import candidates_of, plan_all
 from mjx_grasp.geometry import so3
-from mjx_grasp.geometry.signed_distance import Cylinder
+from mjx_grasp.geometry.signed_distance import Cylinder, Sphere
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import Tracked, follow, track
-from mjx_grasp.reaching.plan_costs import slip_costs
+from mjx_grasp.reaching.plan_costs import closing_costs, light_enough, slip_costs
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.sim.collision import CollisionChecker
@@ -247,3 +247,48 @@ def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
         low, high = (contacts(_world(poses, k)._replace(com=com))[2] for com in ends)
         shift.append(float(high - low))
     assert np.median(shift) > 0.01 and min(shift) >= -1e-3
+
+
+def test_contacts_that_ask_for_little_more_than_the_least_are_light_enough(planned):
+    """Pairs of upright walls ever farther below the centre of mass, and beside it."""
+    _, plan, _, _, _ = planned
+    plan = replace(plan, light=2.0, heavier=1.5)
+    out, aside = jnp.array([[-0.03, 0, 0], [0.03, 0.01, 0], [0.03, -0.01, 0]]), jnp.arange(8) * 0.01
+    contacts = out + aside[:, None, None] * jnp.array([0.0, 1.0, 0.0])
+    every = jnp.ones(8, bool)
+
+    def light(weight, admissible=every):
+        around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
+        around = around._replace(weight=None if weight is None else jnp.float32(weight))
+        return np.asarray(light_enough(plan, admissible, contacts, around)).tolist()
+
+    assert all(light(None)) and all(light(0.0)) and all(light(0.1)), "all the same"
+    few = light(8.0)
+    assert few[0] and not few[-1] and few == sorted(few, reverse=True)
+    assert light(80.0) == few, "heavier or lighter, beyond what is light"
+    beside = light(8.0, every.at[:4].set(False))
+    assert beside[4] and sum(beside) > sum(few), "the least of those that may be used counts"
+
+
+def test_postures_cost_by_what_the_thumb_cannot_press(planned):
+    """Only of a known weight, and in proportion beyond what it can."""
+    reacher, plan, _, _, _ = planned
+    body = reacher.body
+    plan = replace(plan, press_weight=2.0, hold_most=100.0)
+    q = jnp.asarray(body.home)[None]
+    out = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
+    contacts = (0.03 * out + jnp.array([[0.0, 0, 0], [0, 0.01, 0], [0, -0.01, 0]]))[None]
+
+    def cost(weight):
+        around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
+        around = around._replace(weight=None if weight is None else jnp.float32(weight))
+        return float(closing_costs(body, plan, q, contacts, out[None], around)[0])
+
+    assert cost(None) == cost(0.0) == cost(1.0) == 0.0
+    # The thumb bears half of it, by friction.
+    more = cost(60.0) - cost(40.0)
+    assert more == pytest.approx(2.0 * 0.5 * 20.0 / plan.press_friction, rel=0.02)
+    inf = replace(body, torque_limit=np.full_like(body.torque_limit, np.inf))
+    around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
+    around = around._replace(weight=jnp.float32(60.0))
+    assert float(closing_costs(inf, plan, q, contacts, out[None], around)[0]) == 0.0

@@ -81,7 +81,7 @@ def whole_grasps(
         touch_weight=200.0,
         hold_weight=8.0,
         press_weight=4.0,
-        light=7.0,
+        heavier=1.25,
         edge_weight=800.0,
         lesser_cost=35.0,
         lesser_scores=lesser,

@@ -55,11 +55,9 @@ class PlanConfig(Settings):
     to hold an object of known weight; by default that is not looked at [s/N]"""
     press_friction: Positive = 0.5
     """of the contacts in that force [-]"""
-    light: PositiveOrNever = float("inf")
-    """estimated force up to which any contacts will do; where they ask for more, those are looked
-    for first that do not ask for much more than the least of them; by default never [N]"""
-    heavier: Positive = 1.25
-    """times that least: not much more [-]"""
+    heavier: PositiveOrNever = float("inf")
+    """contacts that ask for no more than so many times the least force, by an estimate, are looked
+    for first; by default all are [-]"""
     edge_weight: NonNegative = 0.0
     """time that it counts as where the surface falls away near a contact, by the largest distance
     to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""

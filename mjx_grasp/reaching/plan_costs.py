@@ -101,7 +101,7 @@ def light_enough(
     contacts: Float[Array, "v 3 3"],
     around: Surroundings,
 ) -> Bool[Array, " v"]:
-    """Which contacts ask for little force, or for not much more than the least of them.
+    """Which contacts hold the object by not much more force than the best of them.
 
     Args:
         plan: The search's settings.
@@ -109,12 +109,11 @@ def light_enough(
         contacts: Thumb, index and middle, world [m].
         around: Object and obstacles.
     """
-    if not np.isfinite(plan.light) or around.weight is None:
+    if not np.isfinite(plan.heavier):
         return jnp.ones(len(contacts), bool)
     contact = ContactConfig(friction=plan.press_friction)
-    force = about_holding_force(contacts, _pull(around, around.weight), contact)
-    least = jnp.min(jnp.where(admissible, force, jnp.inf))
-    return force <= jnp.maximum(plan.light, plan.heavier * least)
+    force = about_holding_force(contacts, _pull(around, 1.0), contact)
+    return force <= plan.heavier * jnp.min(jnp.where(admissible, force, jnp.inf))
 
 
 def slip_costs(
@@ -163,7 +162,7 @@ def _press_costs(
         return jnp.maximum(needed - pressing_force(body, q, -normal)[0], 0.0)
 
     # Contacts that cannot hold it at all count as asking for a finite force.
-    most = plan.hold_most * norm(load.force)
+    most = plan.hold_most * norm(jnp.asarray(load.force))
     return plan.press_weight * jnp.minimum(jax.vmap(lacking)(q, contacts, normals), most)
 
 

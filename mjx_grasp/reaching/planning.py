@@ -116,7 +116,7 @@ class Planner:
             score = jnp.where(candidates.valid & (candidates.score >= least), raised, 0.0)
             return self._search(library, candidates._replace(score=score), light, around, q, key)
 
-        light, lesser = np.isfinite(self.config.light), self.config.lesser_scores
+        light, lesser = np.isfinite(self.config.heavier), self.config.lesser_scores
         if not (light or lesser):
             return self._search(library, candidates, jnp.asarray(False), around, q, key)
         firsts = (True, False) if light else (False,)

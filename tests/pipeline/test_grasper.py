@@ -524,7 +524,7 @@ def test_contacts_that_ask_for_little_force_are_looked_for_first(costs, expected
 
     planner = Costly(
         SimpleNamespace(selection=SimpleNamespace(min_score=0.5)),
-        replace(PlanConfig(), light=0.1, lesser_cost=15.0),
+        replace(PlanConfig(), heavier=1.25, lesser_cost=15.0),
     )
     candidates = SimpleNamespace(score=jnp.array([0.9]), valid=jnp.ones(1, bool))
     candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))

@@ -3,7 +3,8 @@
 Objects lie at random on the table and are grasped "near the top", "by the handle" and so on: every
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
 distance of the place from the contacts is measured: of those that were chosen, and of the
-fingertips when the lift begins. A side may lie on the table; it is asked for all the same.
+fingertips when the lift begins. A side may lie on the table; it is asked for all the same, and how
+high the place is says so. The shipped policy closes.
 `--processes 2` makes the grasps of both ways at once, and a run that was killed goes on after the
 first one where it had finished it.
 
@@ -29,11 +30,11 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace, grasp_all
-from mjx_grasp.evaluation.grasps.run import loaded_grasper
+from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.geometry import so3
-from mjx_grasp.geometry.vectors import turned_back
+from mjx_grasp.geometry.vectors import turned, turned_back
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
@@ -46,13 +47,13 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
-from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
 
-SCHEMA = "mjx_grasp.steered_grasps/1"
+SCHEMA = "mjx_grasp.steered_grasps/2"
 _TEN = (
     *("potted_meat_can", "sugar_box", "pitcher_base_scaled", "mustard_bottle", "cracker_box"),
     *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
@@ -141,12 +142,14 @@ def rows_of(
     ends = grasp_rows(names, problem, end, trace, grasper.dt)
     rows = []
     both = zip(*contacts_in_object(grasper, physics, trace), strict=True)
-    for place, row, (chosen, achieved) in zip(places, ends, both, strict=True):
+    heights = heights_of(places, problem)
+    for place, row, height, (chosen, achieved) in zip(places, ends, heights, both, strict=True):
         rows.append(
             {
                 "object": names[place.index],
                 "kind": place.kind,
                 "place": place.name,
+                "height_mm": round(1e3 * float(height), 1),
                 "steering": way,
                 "outcome": row.outcome,
                 "force_mean_n": row.force_mean_n,
@@ -155,6 +158,13 @@ def rows_of(
             }
         )
     return rows
+
+
+def heights_of(places: list[Place], problem: GraspProblem) -> Float[np.ndarray, " w"]:
+    """How high above the table each place is at first [m]."""
+    points = jnp.asarray(np.stack([place.anchor.point for place in places]), jnp.float32)
+    turn = so3.quat_to_mat(jnp.asarray(problem.quat))
+    return np.asarray(problem.p_wo[:, 2] + turned(turn, points)[:, 2])
 
 
 def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | None:
@@ -179,6 +189,7 @@ class Steered:
         self, config: SteeredConfig, progress: Callable[[float], None] = lambda share: None
     ):
         self._config, self._progress, self._robot = config, progress, load_robot()
+        self.policy = closing_policy("policy", None, self._robot)
         self._objects = objects = list(load_objects(config.objects, config.objects_dir))
         self._places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
         counts = [sum(place.index == k for place in self._places) for k in range(len(objects))]
@@ -204,7 +215,7 @@ class Steered:
             heatmap, anchor = self._heatmaps[place.index], place.anchor
             score = steer_to(heatmap, anchor.point, anchor.size, steering=way) if steered else None
             known.append(known_object(objects[place.index], robot, heatmap, score))
-        grasper = loaded_grasper(robot, steered=steered)
+        grasper = loaded_grasper(robot, self.policy, steered=steered)
         assert grasper.planner is not None
         library = start_library(grasper.reacher.body, grasper.planner.config)
         physics = NativePhysics(build_scene(objects, robot), grasper.dt)
@@ -220,7 +231,9 @@ def main(config: SteeredConfig) -> None:
     """Grasps in both ways and writes."""
     check_writable("--out", config.out)
     made = provenance(config.seed)
+    policy = closing_policy("policy", None, load_robot())
     identity = {"schema": SCHEMA, "config": to_record(unspread(config))}
+    identity |= {"sha256": file_digests(policy=policy)}
     journal = Journal(config.out, identity, made["git"])
     rows: list[dict[str, Any]] = []
     with counting_progress(Console(stderr=True)) as bar:

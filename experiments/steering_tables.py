@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from stage_tables import NOTHING, markdown, read
 from mjx_grasp.records.table import Table
 
 _DEFAULT = "default"
+ON_TABLE_MM = 15.0
+"""A place nearer to the table lies on it: no fingertip fits between."""
 Places = list[dict[str, dict[str, Any]]]
 """Of each place the rows by the way of steering."""
 
@@ -83,12 +85,15 @@ def executed(path: Path) -> str:
     if d is None:
         return NOTHING
     ways = list(dict.fromkeys(row["steering"] for row in d["rows"]))
+    groups: dict[str, Callable[[dict[str, Any]], bool]] = {
+        "parts": lambda row: row["kind"] == "part",
+        "sides": lambda row: row["kind"] == "side",
+        "all": lambda row: True,
+        "all that do not lie on the table": lambda row: row["height_mm"] >= ON_TABLE_MM,
+    }
     lines = []
-    for kind in ("part", "side", None):
-        of = {
-            way: [r for r in d["rows"] if r["steering"] == way and kind in (None, r["kind"])]
-            for way in ways
-        }
+    for name, counts in groups.items():
+        of = {way: [r for r in d["rows"] if r["steering"] == way and counts(r)] for way in ways}
         pairs = list(zip(*of.values(), strict=True))
         if not pairs:
             continue
@@ -98,7 +103,7 @@ def executed(path: Path) -> str:
             nearer = [b < a for a, b in both if a is not None and b is not None]
             lines.append(
                 (
-                    "all" if kind is None else f"{kind}s",
+                    name,
                     f"{len(rows)}",
                     way,
                     _median([row["chosen_mm"] for row in rows]),

@@ -89,6 +89,7 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
 
     def row(way, kind, outcome, achieved):
         named = {"object": "mug", "kind": kind, "place": "rim", "steering": way}
+        named |= {"height_mm": 60.0 if kind == "part" else 3.0}
         return named | {"outcome": outcome, "force_mean_n": 2.0} | {
             "chosen_mm": 10.0, "achieved_mm": achieved,
         }  # fmt: skip
@@ -98,11 +99,13 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
         row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None),
     ]  # fmt: skip
     path = tmp_path / "grasps.json"
-    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/1", "rows": rows}))
+    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/2", "rows": rows}))
     lines = script("steering_tables").executed(path).splitlines()[2:]
     assert lines[0] == "| parts | 1 | default | 10.0 | 40.0 |  | 100.0 | 2.0 |"
     assert lines[1] == "| parts | 1 | contacts | 10.0 | 12.0 | 100 | 100.0 | 2.0 |"
-    assert lines[-1] == "| all | 2 | contacts | 10.0 | 12.0 | 100 | 50.0 | 2.0 |"
+    assert lines[5] == "| all | 2 | contacts | 10.0 | 12.0 | 100 | 50.0 | 2.0 |"
+    only = "| all that do not lie on the table | 1 | contacts | 10.0 | 12.0 | 100 | 100.0 | 2.0 |"
+    assert lines[-1] == only
 
 
 def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):

@@ -84,6 +84,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
             "choice": policy_tables.choice(folder),
+            "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),

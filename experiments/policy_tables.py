@@ -7,7 +7,7 @@ how that one was trained.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from collect_runs import run_rows
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.results import read_results
+from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
@@ -158,6 +158,57 @@ def choice(folder: Path) -> str:
     return markdown(Table("Choice", header, tuple(lines), names=2))
 
 
+def told(folder: Path) -> str:
+    """A policy that reads what only a simulator knows beside the shipped one, budget by budget.
+
+    Args:
+        folder: The results files; the one of such a policy is in its `told`, from the same start
+            states as `eight_native.json`.
+    """
+    path = folder / "told" / "native.json"
+    if not path.exists():
+        return NOTHING
+    knowing, shipped = read_groups([path]), read_groups([folder / "eight_native.json"])
+    lines = []
+    for condition in sorted(knowing, key=_ease):
+        beside = {_budget(column): column for column in shipped[condition]}
+        for column in sorted(knowing[condition], key=_budget):
+            for name, of in (("told", column), ("shipped", beside[_budget(column)])):
+                trials = sum(row.episodes for row in of.rows.values())
+                lines.append(
+                    (
+                        condition.short(),
+                        f"{_budget(column):g}",
+                        name,
+                        f"{trials:,}",
+                        f"{of.mean()[0]:.1f} at {of.forces()[0]:.2f}",
+                        *(f"{_within(of, force):.1f}" for force in (3.0, 4.0)),
+                    )
+                )
+    header = ("condition", "budget N", "policy", "trials", "success % at N")
+    header += ("within 3 N %", "within 4 N %")
+    return markdown(Table("Told the truth", header, tuple(lines), names=3))
+
+
+def _budget(column: Column) -> float:
+    """That the column's policy was given; 0 of a controller that knows none [N]."""
+    (budget,) = {row.force_budget_n for row in column.rows.values()}
+    return budget or 0.0
+
+
+def _within(column: Column, force: float) -> float:
+    """Share of trials that are lifted with at most a mean force per finger, over objects [%]."""
+
+    def trials(row: ResultRow) -> Iterator[tuple[str, float]]:
+        return zip(row.outcomes, row.forces_n, strict=True)
+
+    lifted = [
+        np.mean([o == OUTCOMES["successes"] and f <= force for o, f in trials(row)])
+        for row in column.rows.values()
+    ]
+    return 100 * float(np.mean(lifted))
+
+
 def newcomers(folder: Path) -> str:
     """Short trainings on one object, and the policy that they began with, from the same trials.
 
@@ -200,7 +251,7 @@ def _flags(row: dict[str, Any]) -> str:
     return ", ".join(f"`{part}`" for part in own)
 
 
-_OF_THEIR_OWN = ("seeds", "choice", "newcomer", "end_to_end")
+_OF_THEIR_OWN = ("seeds", "choice", "told", "newcomer", "end_to_end")
 """folders of results whose policies are named where they are shown"""
 
 

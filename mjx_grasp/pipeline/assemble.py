@@ -34,8 +34,9 @@ STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
 STEERED_LEAST = 32
 """Candidates that reach it at least: one or two are seldom within reach."""
-LESSER_SCORES = (0.1, 0.0)
-"""With which they are chosen all the same where nothing nearer is within reach [-]."""
+STEERED_BANDS = {0.25: 8, 0.125: 2}
+"""Where none of these is within reach, an eighth of the candidates, then half of them: the scores that
+they have at least, always an anchor's best first. Then all others."""
 _GRAVITY = 9.81  # m/s²
 
 
@@ -66,7 +67,7 @@ def whole_grasps(
         if approach != "any":
             raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
-    lesser = LESSER_SCORES if steered else LESSER_SCORES[-1:]
+    lesser = (*STEERED_BANDS, 0.0) if steered else (0.0,)
     # What follows is known of postures that were solved for alone: no attempt is left behind.
     thorough = PlanConfig()
     plan = replace(
@@ -83,7 +84,7 @@ def whole_grasps(
         press_weight=4.0,
         heavier=1.25,
         edge_weight=800.0,
-        lesser_cost=35.0,
+        lesser_cost=50.0 if steered else 35.0,
         lesser_scores=lesser,
         approach=approach,
     )
@@ -171,15 +172,22 @@ def steered_candidates(
 ) -> Candidates:
     """Those a steered grasp chooses among: half of them the anchor's best, with `steered_scores`.
 
-    The others are of the heatmap itself, with no score at all: for when nothing near the anchor is
-    within reach.
+    Of these, lower scores say how many are better, as in `STEERED_BANDS`: so that the search moves
+    away from the anchor step by step. The others are of the heatmap itself, with no score at all,
+    for when nothing near the anchor is within reach.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
         count: How many.
     """
-    return first_and_rest(heatmap, steered_scores(heatmap, score), count // 2, count)
+    scores = steered_scores(heatmap, score)
+    chosen = first_and_rest(heatmap, scores, count // 2, count)
+    rank, banded = jnp.arange(count), jnp.zeros(count)
+    for least, share in reversed(STEERED_BANDS.items()):
+        banded = jnp.where(rank < count // share, least, banded)
+    near = jnp.where(chosen.score >= STEERED_SCORE, chosen.score, banded)
+    return chosen._replace(score=jnp.where(chosen.score > 0, near, 0.0))
 
 
 def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:

@@ -19,6 +19,7 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.objects.model import load_objects
+from mjx_grasp.pipeline import assemble
 from mjx_grasp.pipeline.assemble import (
     STEERED_LEAST,
     STEERED_SCORE,
@@ -442,17 +443,22 @@ class _Seen(NamedTuple):
 
 
 @pytest.mark.wrong_types
-def test_half_of_a_steered_grasps_candidates_are_the_anchors_best():
+def test_half_of_a_steered_grasps_candidates_are_the_anchors_best(monkeypatch):
     n, some = 40, jnp.arange(40)
     points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
     wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))
     own = jnp.linspace(0.1, 1.0, n)  # the anchor is at the other end
     heatmap = _Seen(points, points, wrap, wrap, points, jnp.ones(n), own, some != 39)
-    found = steered_candidates(heatmap, own[::-1] ** 8, 16)
+    monkeypatch.setattr(assemble, "STEERED_LEAST", 1)
+    found = steered_candidates(heatmap, own[::-1] ** 40, 16)
     chosen = np.asarray(found.thumb[:, 0]).astype(int)
     assert chosen.tolist() == [*range(8), *range(38, 30, -1)] and np.all(found.valid)
     assert found.score[0] == 1 and np.all(np.diff(found.score[:8]) <= 0)
     assert not np.any(found.score[8:])
+    # The lower scores say how many are better, and are those that plans stop at.
+    assert found.score[1:8].tolist() == [0.25, *(0.125,) * 6]
+    plan = whole_grasps(steered=True).plan
+    assert plan.lesser_scores == (0.25, 0.125, 0.0)
 
 
 class _Finds(Planner):

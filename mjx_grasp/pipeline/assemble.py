@@ -35,8 +35,8 @@ STEERED_SCORE = 0.5
 STEERED_LEAST = 32
 """Candidates that reach it at least: one or two are seldom within reach."""
 STEERED_BANDS = {0.25: 8, 0.125: 2}
-"""Where none of these is within reach, an eighth of the candidates, then half of them: the scores that
-they have at least, always an anchor's best first. Then all others."""
+"""Where none of these is within reach the anchor's best eighth of all candidates is looked at, and
+then the best half: the scores that they have at least. Then all others [-]."""
 _GRAVITY = 9.81  # m/s²
 
 

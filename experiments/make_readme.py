@@ -79,7 +79,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "devices": speed_tables.devices(on_devices),
             "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json")), on_devices),
             "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
-            "reach": reach_tables.reach_rates(folder / "reach_sweep_h200.json"),
+            "reach": reach_tables.reach_rates(folder / "reach_sweep_cpu.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
@@ -100,9 +100,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "steering-parts": steering_tables.parts(folder / "steering_numbers.json"),
             "steered-grasps": steering_tables.executed(folder / "steered_grasps.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
-            "limits": reach_tables.reach_limits(
-                [folder / f"reach_sweep_{device}.json" for device in ("h200", "cpu")]
-            ),
+            "limits": reach_tables.reach_limits(folder / "reach_sweep_cpu.json"),
             "qp": reach_tables.qp_speed(folder / "qp_cpu.json"),
             "reach-speed": reach_tables.reach_speed(
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]

@@ -98,7 +98,7 @@ PARTS = (
         "convergence of reaching over tolerance and time",
         (
             "-m mjx_grasp.sweep_reach --processes CORES "
-            "--out experiments/results/reach_sweep_cpu.json",
+            "--out experiments/results/reach_sweep_cpu.json --plot docs/reach_sweep.png",
         ),
     ),
     Part(

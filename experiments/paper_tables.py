@@ -284,7 +284,7 @@ def _no_pre_grasp(folder: Path) -> Claim | None:
 
 
 def _more_time(folder: Path) -> Claim | None:
-    path = folder / "reach_sweep_h200.json"
+    path = folder / "reach_sweep_cpu.json"
     if not path.exists():
         return None
     d = read_json(path, "a reach sweep")

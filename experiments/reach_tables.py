@@ -44,9 +44,7 @@ def reach_rates(path: Path) -> str:
             f"motion, {started['1']:.1f} % are within 20 mm after 1 s, {started['2']:.1f} % after "
             f"2 s and {started['3']:.1f} % after 3 s; from "
             "when the tips were first within 140 mm, with a timer that a retreat does not set "
-            f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %. The "
-            f"sweep took {sum(d['seconds'][k] for k in ('planning', 'reaching')):.0f} s on one "
-            f"{d['provenance']['device']}, compilation apart:",
+            f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %:",
             markdown(rates),
             f"Tip errors at handoff in mm: {errors}.",
             f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
@@ -64,48 +62,40 @@ def asked_clearance(d: dict[str, Any]) -> float:
     return limits["clearances"]["object"] if "clearances" in limits else limits["object_clearance"]
 
 
-def reach_limits(paths: Sequence[Path]) -> str:
-    """The worst of every tick of the sweeps, by how a reach started."""
+def reach_limits(path: Path) -> str:
+    """The worst of every tick of the sweep, by how a reach started."""
+    d = read(path)
+    if d is None:
+        return NOTHING
     names = {
         "safe": "as far as asked or farther",
         "near": "nearer",
         "in_contact": "in contact, up to {:.0f} mm deep",
     }
     rows = []
-    for path in paths:
-        d = read(path)
-        for kind, name in names.items() if d else ():
-            worst = d["limits"][kind]
-            rows.append(
-                (
-                    d["provenance"]["device"],
-                    name.format(worst["deepest_start_mm"]),
-                    f"{worst['reaches']:,}",
-                    f"{worst['ticks']:,}",
-                    f"{worst['largest_speed_over_limit']:.2f}",
-                    f"{worst['farthest_beyond_joint_limit_rad']:.2f}",
-                    f"{worst['least_object_distance_mm']:.2f}",
-                    f"{worst['most_object_distance_lost_mm']:.3f}",
-                    f"{worst['least_table_height_over_asked_mm']:.2f}",
-                    f"{worst['least_finger_distance_mm']:.2f}",
-                    f"{worst['least_arm_to_itself_mm']:.1f}",
-                    f"{worst['ticks_infeasible']}",
-                )
+    for kind, name in names.items():
+        worst = d["limits"][kind]
+        rows.append(
+            (
+                name.format(worst["deepest_start_mm"]),
+                f"{worst['reaches']:,}",
+                f"{worst['ticks']:,}",
+                f"{worst['largest_speed_over_limit']:.2f}",
+                f"{worst['farthest_beyond_joint_limit_rad']:.2f}",
+                f"{worst['least_object_distance_mm']:.2f}",
+                f"{worst['most_object_distance_lost_mm']:.3f}",
+                f"{worst['least_table_height_over_asked_mm']:.2f}",
+                f"{worst['least_finger_distance_mm']:.2f}",
+                f"{worst['least_arm_to_itself_mm']:.1f}",
+                f"{worst['ticks_infeasible']}",
             )
+        )
     header = (
-        *(
-            "device",
-            "start",
-            "reaches",
-            "ticks",
-            "speed over its limit",
-            "beyond a joint limit rad",
-        ),
+        *("start", "reaches", "ticks", "speed over its limit", "beyond a joint limit rad"),
         *("to object mm", "lost of it mm", "over the table's mm", "between fingers mm"),
         *("arm to itself mm", "infeasible ticks"),
     )
-    table = Table("Limits", header, tuple(rows), names=2)
-    return markdown(table) if rows else NOTHING
+    return markdown(Table("Limits", header, tuple(rows)))
 
 
 def reach_ablation(path: Path) -> str:

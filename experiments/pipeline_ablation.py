@@ -110,6 +110,15 @@ VARIANTS = {
         "plans do not look ahead to closing and lift",
         {"reaching.plan.lift_error": _NEVER, "reaching.plan.touch_error": _NEVER},
     ),
+    "no-statics": Variant(
+        "plans do not look at what the contacts and the thumb can hold",
+        {
+            "reaching.plan.hold_weight": 0.0,
+            "reaching.plan.edge_weight": 0.0,
+            "reaching.plan.press_weight": 0.0,
+            "reaching.plan.heavier": _NEVER,
+        },
+    ),
     "paper-gate": Variant(
         "handoff as published, by the midpoint alone",
         {"reaching.reach.controller.gate": GATES["paper"]},

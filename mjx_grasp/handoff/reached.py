@@ -131,7 +131,8 @@ class ReachedGenerator:
         rows: list[Row] = []
         if report.eligible_candidates:
             checker = CollisionChecker(build_scene([obj], self._robot))
-            task = _Task(obj, StillObject(known.shape, known.candidates, known.com), checker)
+            what = StillObject(known.shape, known.candidates, known.com, known.weight)
+            task = _Task(obj, what, checker)
             for _ in range(config.max_rounds):
                 missing = config.per_object - len(rows)
                 rows += self._round(task, report, rng, key, missing)[:missing]

@@ -39,6 +39,8 @@ class StillObject(NamedTuple):
     """where it may be grasped"""
     com: Float[Array, " 3"] | None = None
     """centre of mass; the object's origin if None [m]"""
+    weight: Float[Array, ""] | None = None
+    """unknown if None [N]"""
 
 
 class Placed(NamedTuple):
@@ -161,7 +163,7 @@ def _search(
 
     def one(place: tuple[Array, Array, Array]) -> Plans:
         p_wo, R_wo, key = place
-        around = Surroundings.still(what.shape, p_wo, R_wo, what.com)
+        around = Surroundings.still(what.shape, p_wo, R_wo, what.com, what.weight)
         return planner.search(library, what.candidates, around, home, key).plans
 
     return jax.lax.map(one, (p_wo, R_wo, keys), batch_size=_AT_ONCE)

@@ -146,6 +146,21 @@ def test_a_set_is_the_same_from_its_file(generated, tmp_path, robot):
     assert found.kind == "reached" and np.array_equal(found.midpoint, handoffs.midpoint)
 
 
+def test_plans_know_what_the_object_weighs(generator, brick, monkeypatch):
+    """As those of a whole grasp do."""
+
+    class Known(Exception):
+        pass
+
+    def told(planner, library, what, *rest):
+        raise Known(what.weight)
+
+    monkeypatch.setattr("mjx_grasp.handoff.reached.plans_still", told)
+    with pytest.raises(Known) as caught:
+        generator.generate(brick)
+    assert float(caught.value.args[0]) == pytest.approx(9.81 * brick.mass, rel=1e-5)
+
+
 @pytest.fixture(scope="module")
 def queue(generator, brick, robot):
     """More reaches than worlds: what they are of, where, and how they ended."""

@@ -2,9 +2,9 @@
 
 Objects lie at random on the table and are grasped "near the top", "by the handle" and so on: every
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
-distance of the place from the contacts is measured: of those that were chosen, and of the
-fingertips when the lift begins. A side may lie on the table; it is asked for all the same, and how
-high the place is says so. The shipped policy closes.
+distance of the place from the contacts is measured: of those of the first try, of those of the
+last, and of the fingertips when the lift begins. A side may lie on the table; it is asked for all
+the same, and how high the place is says so. The shipped policy closes.
 `--processes 2` makes the grasps of both ways at once, and a run that was killed goes on after the
 first one where it had finished it.
 
@@ -53,7 +53,7 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
 
-SCHEMA = "mjx_grasp.steered_grasps/2"
+SCHEMA = "mjx_grasp.steered_grasps/3"
 _TEN = (
     *("potted_meat_can", "sugar_box", "pitcher_base_scaled", "mustard_bottle", "cracker_box"),
     *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
@@ -103,19 +103,20 @@ def stacked(known: list[Known]) -> Known:
 
 def contacts_in_object(
     grasper: Grasper, physics: NativePhysics, trace: Trace
-) -> tuple[Float[np.ndarray, "w 3 3"], Float[np.ndarray, "w 3 3"]]:
-    """Chosen contacts at the last handoff, and fingertips at lift onset; object frame [m].
+) -> Float[np.ndarray, "3 w 3 3"]:
+    """Chosen contacts at first and last handoff, and fingertips at lift onset; object frame [m].
 
     They are nan in trials that do not come so far.
     """
     at, worlds = physics.scene.addresses, trace.phase.shape[1]
-    chosen, achieved = np.full((2, worlds, 3, 3), np.nan)
+    first, chosen, achieved = found = np.full((3, worlds, 3, 3), np.nan)
     pads = jax.jit(lambda q: grasper.reacher.body.kinematics.motion(q).pos[:FINGERS])
     for w in range(worlds):
         phase, qpos = trace.phase[:, w], trace.qpos[:, w]
         lifting = np.flatnonzero(phase == Phase.LIFTING)
         before = phase[: lifting[0]] if len(lifting) else phase
         for kept, tick, points in (
+            (first, np.flatnonzero(before == Phase.CLOSING)[:1], trace.contacts[:, w]),
             (chosen, np.flatnonzero(before == Phase.CLOSING)[-1:], trace.contacts[:, w]),
             (achieved, lifting[:1], None),
         ):
@@ -125,7 +126,7 @@ def contacts_in_object(
                 seen = points[t] if points is not None else pads(qpos[t, at.robot_qpos])
                 R_wo = so3.quat_to_mat(jnp.asarray(pose[3:]))
                 kept[w] = np.asarray(turned_back(R_wo, jnp.asarray(seen) - pose[:3]))
-    return chosen, achieved
+    return found
 
 
 def rows_of(
@@ -141,9 +142,10 @@ def rows_of(
     end, trace = ran
     ends = grasp_rows(names, problem, end, trace, grasper.dt)
     rows = []
-    both = zip(*contacts_in_object(grasper, physics, trace), strict=True)
+    contacts = zip(*contacts_in_object(grasper, physics, trace), strict=True)
     heights = heights_of(places, problem)
-    for place, row, height, (chosen, achieved) in zip(places, ends, heights, both, strict=True):
+    for place, row, height, apart in zip(places, ends, heights, contacts, strict=True):
+        first, chosen, achieved = (_distance(points, place.anchor) for points in apart)
         rows.append(
             {
                 "object": names[place.index],
@@ -153,8 +155,9 @@ def rows_of(
                 "steering": way,
                 "outcome": row.outcome,
                 "force_mean_n": row.force_mean_n,
-                "chosen_mm": _distance(chosen, place.anchor),
-                "achieved_mm": _distance(achieved, place.anchor),
+                "first_mm": first,
+                "chosen_mm": chosen,
+                "achieved_mm": achieved,
             }
         )
     return rows

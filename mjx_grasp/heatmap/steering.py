@@ -21,6 +21,7 @@ SIGMA_M = 0.030
 """Scale of the distance to an anchor that is a point [m]."""
 _PART_SHARE = 0.125  # larger, and better grasps beside a thin part come into the choice
 _LEAST_SIGMA_M = 0.002  # scans are not more accurate
+_TAIL = 1e-9  # far scores fall slowly from here: of two, the nearer one is still to be preferred
 
 
 class Heatmap(NamedTuple):
@@ -186,7 +187,7 @@ def steer_contacts(
     best = jnp.argmax(product)
     # Of the logarithms: the factors themselves underflow a few centimetres away.
     relative = jnp.where(counts, product - product[best], -jnp.inf)
-    return score[best] * jnp.exp(relative)
+    return score[best] * jnp.maximum(jnp.exp(relative), _TAIL / (1.0 - relative))
 
 
 def contact_sigma(size: Float[Array | np.ndarray, " 3"]) -> Float[Array, ""]:

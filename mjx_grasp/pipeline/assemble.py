@@ -30,13 +30,14 @@ from mjx_grasp.robot.spec import HandSpec, RobotSpec
 CANDIDATES = 1024
 """Of a heatmap, among which reaching chooses: of a flat object or a small ball few are high enough
 above the table for the hand, whatever their score."""
+STEERED_CANDIDATES = 2048
+"""The same where scores are steered: the anchor's best three quarters and others of the heatmap, as
+the object may lie on most of the former."""
 STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
-STEERED_LEAST = 32
-"""Candidates that reach it at least: one or two are seldom within reach."""
-STEERED_BANDS = {0.25: 8, 0.125: 2}
-"""Where none of these is within reach the anchor's best eighth of all candidates is looked at, and
-then the best half: the scores that they have at least. Then all others [-]."""
+STEERED_AT_LEAST = (32, 128, 512)
+"""So many of those that can be used where the object lies are looked at, one number after the other
+where there is no good posture; one or two are seldom within reach [-]."""
 _GRAVITY = 9.81  # m/s²
 
 
@@ -67,7 +68,6 @@ def whole_grasps(
         if approach != "any":
             raise InputError("approach", approach, f"any: the preset {preset} does not plan")
         return settings
-    lesser = (*STEERED_BANDS, 0.0) if steered else (0.0,)
     # What follows is known of postures that were solved for alone: no attempt is left behind.
     thorough = PlanConfig()
     plan = replace(
@@ -85,7 +85,8 @@ def whole_grasps(
         heavier=1.25,
         edge_weight=800.0,
         lesser_cost=50.0 if steered else 35.0,
-        lesser_scores=lesser,
+        at_least=STEERED_AT_LEAST if steered else (),
+        lesser_scores=(0.0,),
         approach=approach,
     )
     gate = replace(settings.reach.controller.gate, stalled_tips=0.035)
@@ -126,23 +127,23 @@ def known_object(
     robot: RobotSpec,
     heatmap: Heatmap | None = None,
     score: Float[Array, " v"] | None = None,
-    count: int = CANDIDATES,
 ) -> Known:
     """What a grasp has to know of an object; of one size for all objects, so that they stack.
+
+    Its candidates are the best by score, and a quarter others, for poses in which none of those is
+    within reach.
 
     Args:
         obj: The object.
         robot: Whose hand the candidates are for.
         heatmap: Of the object; computed here if None.
         score: Of an anchor, see `steered_candidates`; the heatmap's own if None.
-        count: Candidates: the best by score, and a quarter that are others, for poses in which none
-            of those is within reach.
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     if score is None:
-        candidates = first_and_rest(heatmap, None, count - count // 4, count)
+        candidates = first_and_rest(heatmap, None, CANDIDATES - CANDIDATES // 4, CANDIDATES)
     else:
-        candidates = steered_candidates(heatmap, jnp.asarray(score), count)
+        candidates = steered_candidates(heatmap, jnp.asarray(score))
     weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
 
@@ -168,38 +169,31 @@ def check_graspable(name: str, best: float, hand: HandSpec) -> None:
 
 
 def steered_candidates(
-    heatmap: Heatmap, score: Float[Array, " v"], count: int = CANDIDATES
+    heatmap: Heatmap, score: Float[Array, " v"], count: int = STEERED_CANDIDATES
 ) -> Candidates:
-    """Those a steered grasp chooses among: half of them the anchor's best, with `steered_scores`.
+    """Those a steered grasp chooses among: the anchor's best, with `steered_scores`.
 
-    Of these, lower scores say how many are better, as in `STEERED_BANDS`: so that the search moves
-    away from the anchor step by step. The others are of the heatmap itself, with no score at all,
-    for when nothing near the anchor is within reach.
+    A quarter are others, of the heatmap itself and with no score at all, for when nothing near the
+    anchor is within reach.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
         count: How many.
     """
-    scores = steered_scores(heatmap, score)
-    chosen = first_and_rest(heatmap, scores, count // 2, count)
-    rank, banded = jnp.arange(count), jnp.zeros(count)
-    for least, share in reversed(STEERED_BANDS.items()):
-        banded = jnp.where(rank < count // share, least, banded)
-    near = jnp.where(chosen.score >= STEERED_SCORE, chosen.score, banded)
-    return chosen._replace(score=jnp.where(chosen.score > 0, near, 0.0))
+    return first_and_rest(heatmap, steered_scores(heatmap, score), count - count // 4, count)
 
 
 def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:
     """Steered scores on a scale on which those count that reach `STEERED_SCORE`.
 
-    These are all from half of the best one, and no fewer than the `STEERED_LEAST` best.
+    These are all from half of the best one, and no fewer than the `STEERED_AT_LEAST` best at first.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
     """
     ranked = jnp.sort(jnp.where(heatmap.valid, score, 0.0))[::-1]
-    least = ranked[min(STEERED_LEAST, len(ranked)) - 1] / STEERED_SCORE
+    least = ranked[min(STEERED_AT_LEAST[0], len(ranked)) - 1] / STEERED_SCORE
     top = jnp.clip(least, 1e-6 * ranked[0], ranked[0])
     return jnp.minimum(score / jnp.maximum(top, 1e-30), 1.0)

@@ -115,18 +115,20 @@ class Grasper:
             seen: Where it is, and what is in the way.
             q: Measured joint positions [rad].
             key: Of what is tried at random.
-            avoid: Thumb contact of a grasp that has failed, `GraspState.avoid`.
+            avoid: Thumb contact of a grasp that has failed, `GraspState.avoid`: another one is not
+                looked for near it, nor near an anchor.
         """
         if self.planner is None:
             return None
         still = jnp.zeros((len(seen.obstacles), 3))
         around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo, known.com, known.weight)
         around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
-        candidates = known.candidates
+        candidates, failed = known.candidates, jnp.asarray(False)
         if avoid is not None:
+            failed = jnp.isfinite(avoid[0])  # near an anchor; what holds best comes next
             away = norm(candidates.thumb - avoid) >= self.config.avoided
             candidates = candidates._replace(valid=candidates.valid & away)
-        plans = self.planner.search(library, candidates, around, q, key).plans
+        plans = self.planner.search(library, candidates, around, q, key, failed).plans
         return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
 
     def start(

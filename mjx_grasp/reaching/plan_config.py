@@ -63,6 +63,10 @@ class PlanConfig(Settings):
     to it on a circle around the contact in its tangent plane; by default not at all [s/m]"""
     edge_radius: Positive = 0.010
     """of that circle: about half the width of a fingertip [m]"""
+    at_least: tuple[Count, ...] = ()
+    """of the candidates that can be used where the object lies, so many of the highest scores are
+    looked at, those with the selection's least score among them; where there is no good posture for
+    them, more, one number after the other; by default those with that score alone [-]"""
     lesser_scores: tuple[NonNegative, ...] = ()
     """where no good posture is found for candidates of the selection's least score: the least
     scores with which they are looked for then, one after the other [-]"""

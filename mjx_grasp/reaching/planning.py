@@ -99,6 +99,7 @@ class Planner:
         around: Surroundings,
         q: Float[Array, " joints"],
         key: Array,
+        anywhere: Bool[Array, ""] | bool = False,
     ) -> Search:
         """Looks for a candidate and a posture to reach it, near the present configuration.
 
@@ -108,6 +109,8 @@ class Planner:
             around: Object and obstacles.
             q: Present configuration, [rad].
             key: Chooses among the library's entries around the object.
+            anywhere: Whether to leave out what the configuration looks for `at_least`, and go on
+                to its last lesser score at once.
         """
         enough = self.reacher.selection.min_score
 
@@ -116,15 +119,25 @@ class Planner:
             score = jnp.where(candidates.valid & (candidates.score >= least), raised, 0.0)
             return self._search(library, candidates._replace(score=score), light, around, q, key)
 
-        light, lesser = np.isfinite(self.config.heavier), self.config.lesser_scores
-        if not (light or lesser):
+        plan, light = self.config, np.isfinite(self.config.heavier)
+        if not (light or plan.at_least or plan.lesser_scores):
             return self._search(library, candidates, jnp.asarray(False), around, q, key)
-        firsts = (True, False) if light else (False,)
-        least = jnp.asarray((*(enough for _ in firsts), *lesser), jnp.float32)
-        only = jnp.asarray((*firsts, *(False for _ in lesser)))
+        scores, thorough = [jnp.asarray(enough), *map(jnp.asarray, plan.lesser_scores)], {0}
+        if plan.at_least:
+            scores[:1] = self._least_scores(candidates, around)
+            thorough.add(len(scores) - 1)
+        tries = [
+            (score, only)
+            for k, score in enumerate(scores)
+            for only in ((True, False) if light and k in thorough else (False,))
+        ]
+        least, only = jnp.stack([t[0] for t in tries]), jnp.asarray([t[1] for t in tries])
+        begin = jnp.int32(0)
+        if plan.at_least:
+            begin = jnp.where(anywhere, len(tries) - (2 if light else 1), begin)
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
-            return (tried[0] < len(least)) & (tried[1].cost[0] >= self.config.lesser_cost)
+            return (tried[0] < len(least)) & (tried[1].cost[0] >= plan.lesser_cost)
 
         def again(tried: tuple[Int[Array, ""], Search]) -> tuple[Int[Array, ""], Search]:
             found = among(least[tried[0]], only[tried[0]])
@@ -136,7 +149,17 @@ class Planner:
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0], only[0])
         )
         nothing = nothing._replace(cost=jnp.full_like(nothing.cost, jnp.inf))
-        return jax.lax.while_loop(in_vain, again, (jnp.int32(0), nothing))[1]
+        return jax.lax.while_loop(in_vain, again, (begin, nothing))[1]
+
+    def _least_scores(self, candidates: Candidates, around: Surroundings) -> list[Float[Array, ""]]:
+        """Those with which at least so many candidates can be used where the object lies."""
+        targets = self.reacher.selection.targets
+        options = target_options(candidates, targets)
+        high = admissible(candidates, options, around.p_wo, around.R_wo, targets)
+        usable = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(high)
+        ranked = jnp.sort(jnp.where(usable, candidates.score, 0.0))[::-1]
+        enough, last = self.reacher.selection.min_score, len(ranked) - 1
+        return [jnp.minimum(enough, ranked[min(n - 1, last)]) for n in self.config.at_least]
 
     def _search(
         self,

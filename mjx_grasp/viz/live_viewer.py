@@ -191,7 +191,8 @@ class LiveViewer:
         if name not in self._subjects:
             obj, robot = self._objects[name], self.live.scene.robot
             stored = self._heatmap(obj)
-            known = known_object(obj, robot, stored.heatmap)
+            # Steered like every grasp here: of one size, so that nothing is compiled again.
+            known = known_object(obj, robot, stored.heatmap, stored.heatmap.score)
             target = target_of(obj.name, obj.mesh, obj.parts)
             self._subjects[name] = Subject(stored, target, known)
         return self._subjects[name]

@@ -106,6 +106,17 @@ def test_far_away_and_on_thin_parts_scores_stay_usable():
         assert not np.any(steer(HEATMAP, anchor, 0.003) > 1e-20) or abs(anchor[0]) < 1
 
 
+def test_of_two_equally_good_candidates_the_nearer_one_scores_more_however_far_both_are():
+    alike = HEATMAP._replace(score_without_com=np.full(80, 0.5, np.float32))
+    corner = np.float32([-0.06, -0.06, -0.06])
+    contacts = alike.thumb, alike.wrap[:, 0], alike.wrap[:, 1]
+    apart = sum(np.linalg.norm(c - corner, axis=1) ** 2 for c in contacts)
+    score = np.asarray(steer_contacts(alike, corner, sigma=0.002))
+    order = np.argsort(apart)
+    assert np.all(np.exp((apart.min() - apart[order[-40:]]) / 0.002**2) < 1e-30)
+    assert np.all(np.diff(score[order]) <= 0) and len(np.unique(score)) > 60 and score.min() > 0
+
+
 def test_what_is_no_candidate_has_no_score():
     valid = np.arange(80) % 3 > 0
     heatmap = HEATMAP._replace(valid=valid)

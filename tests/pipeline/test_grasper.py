@@ -18,10 +18,12 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.grasp.targets import admissible, target_options
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline import assemble
 from mjx_grasp.pipeline.assemble import (
-    STEERED_LEAST,
+    STEERED_AT_LEAST,
     STEERED_SCORE,
     check_graspable,
     grasper_of,
@@ -34,6 +36,7 @@ from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known, Seen
+from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint
@@ -366,7 +369,7 @@ def test_what_is_not_reached_is_planned_anew_once(make, home, known):
 class _Chooses:
     """Always the first candidate, with its wraps one above the other."""
 
-    def search(self, library, candidates, around, q, key):
+    def search(self, library, candidates, around, q, key, anywhere=False):
         along, first = jnp.array([[0.0, 0.0, 1.0]]), jnp.zeros(1, jnp.int32)
         return SimpleNamespace(plans=Plans(first, along, along, None))
 
@@ -422,7 +425,7 @@ def test_steered_scores_count_from_half_of_the_best_and_no_fewer_than_some():
     heatmap = SimpleNamespace(valid=jnp.arange(200) != 3)
     few = jnp.exp(-0.2 * jnp.arange(200.0)).at[3].set(5.0)
     scaled = np.asarray(steered_scores(heatmap, few))
-    assert (scaled[np.arange(200) != 3] >= STEERED_SCORE).sum() == STEERED_LEAST
+    assert (scaled[np.arange(200) != 3] >= STEERED_SCORE).sum() == STEERED_AT_LEAST[0]
     assert scaled.max() == 1 and (np.diff(np.delete(scaled, 3)) <= 0).all()
     many = jnp.linspace(0.2, 0.1, 200)
     np.testing.assert_allclose(steered_scores(heatmap, many), many / 0.2, rtol=1e-6)
@@ -443,22 +446,43 @@ class _Seen(NamedTuple):
 
 
 @pytest.mark.wrong_types
-def test_half_of_a_steered_grasps_candidates_are_the_anchors_best(monkeypatch):
+def test_most_of_a_steered_grasps_candidates_are_the_anchors_best(monkeypatch):
     n, some = 40, jnp.arange(40)
     points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
     wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))
     own = jnp.linspace(0.1, 1.0, n)  # the anchor is at the other end
     heatmap = _Seen(points, points, wrap, wrap, points, jnp.ones(n), own, some != 39)
-    monkeypatch.setattr(assemble, "STEERED_LEAST", 1)
+    monkeypatch.setattr(assemble, "STEERED_AT_LEAST", (1,))
     found = steered_candidates(heatmap, own[::-1] ** 40, 16)
     chosen = np.asarray(found.thumb[:, 0]).astype(int)
-    assert chosen.tolist() == [*range(8), *range(38, 30, -1)] and np.all(found.valid)
-    assert found.score[0] == 1 and np.all(np.diff(found.score[:8]) <= 0)
-    assert not np.any(found.score[8:])
-    # The lower scores say how many are better, and are those that plans stop at.
-    assert found.score[1:8].tolist() == [0.25, *(0.125,) * 6]
-    plan = whole_grasps(steered=True).plan
-    assert plan.lesser_scores == (0.25, 0.125, 0.0)
+    assert chosen.tolist() == [*range(12), *range(38, 34, -1)] and np.all(found.valid)
+    assert found.score[0] == 1 and np.all(np.diff(found.score[:12]) < 0)
+    assert not np.any(found.score[12:])
+
+
+def test_near_an_anchor_on_the_table_those_are_looked_for_that_can_be_used(robot):
+    """A can stands on the face that is asked for: none of the nearest candidates is high enough."""
+    (can,) = load_objects(("tomato_soup_can",))
+    heatmap = heatmap_of(can, robot.hand)
+    low = np.array([0.0, 0.0, float(can.mesh.vertices[:, 2].min())])
+    known = known_object(can, robot, heatmap, steer_to(heatmap, low))
+    planner = grasper_of(robot, reaching=whole_grasps(steered=True)).planner
+    p_wo = jnp.array([0.5, 0.0, -low[2]])
+    around = Surroundings.still(known.shape, p_wo, jnp.eye(3))
+    targets = planner.reacher.selection.targets
+    options = target_options(known.candidates, targets)
+    high = np.asarray(admissible(known.candidates, options, p_wo, jnp.eye(3), targets))
+    usable = np.isin(np.arange(len(known.candidates.score)), options.candidate[high])
+    score = np.asarray(known.candidates.score)
+    assert not np.any(usable & (score >= STEERED_SCORE))
+    least = [float(x) for x in planner._least_scores(known.candidates, around)]
+    assert len(least) == len(STEERED_AT_LEAST) and least[0] >= least[-1] > 0
+    for count, bound in zip(STEERED_AT_LEAST, least, strict=True):
+        found = usable & (score >= bound)
+        assert min(count, usable[score > 0].sum()) <= found.sum()
+        assert (usable & (score > bound)).sum() < count
+    standing = Surroundings.still(known.shape, p_wo + jnp.array([0.0, 0.0, 0.3]), jnp.eye(3))
+    assert planner._least_scores(known.candidates, standing)[0] == STEERED_SCORE
 
 
 class _Finds(Planner):
@@ -516,6 +540,32 @@ def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs
     candidates = SimpleNamespace(score=jnp.array([0.1, 0.9]), valid=jnp.ones(2, bool))
     candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
     assert planner.search(0, candidates, None, None, None).cost[0] == expected
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(
+    ("reachable", "anywhere", "expected"),
+    [((1, 1, 1), False, 2), ((1, 1, 0), False, 1), ((1, 0, 0), False, 0), ((1, 1, 1), True, 0)],
+)
+def test_a_wish_is_given_up_step_by_step_and_at_once_after_a_grasp_that_failed(
+    reachable, anywhere, expected
+):
+    """Where all count, the first one costs least."""
+
+    class Wishes(_Finds):
+        def _least_scores(self, candidates, around):
+            return [jnp.float32(0.5), jnp.float32(0.2)]
+
+    config = replace(PlanConfig(), at_least=(1, 2), lesser_scores=(0.0,), heavier=1.25)
+    planner = Wishes(SimpleNamespace(selection=SimpleNamespace(min_score=0.5)), config)
+    candidates = SimpleNamespace(
+        score=jnp.array([0.0, 0.3, 0.9]),
+        valid=jnp.ones(3, bool),
+        thumb=jnp.array(reachable)[:, None],
+    )
+    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+    found = planner.search(0, candidates, None, None, None, anywhere)
+    assert found.plans[0] == expected
 
 
 @pytest.mark.wrong_types

@@ -100,14 +100,14 @@ def main(config: GrasperBenchmarkConfig) -> None:
             ways = timed(plans, plan, known[k], seen, now.q, key)
             state = start(now, known[k], seen, ways)
             if w == 0:  # a search that avoids a place is another program
-                jax.block_until_ready(plan(known[k], seen, now.q, key, state.avoid))
+                jax.block_until_ready(plan(known[k], seen, now.q, key, state.tried))
             for _ in range(round(_LONGEST_S / grasper.dt)):
                 phase = Phase(int(state.phase))
                 state, done = timed(ticks[phase], tick, state, now, known[k], seen)
                 world, measured, truth = step(world, params, done.target[None, order])
                 now, seen = jax.device_get((one(measured), seen_of(truth)))
                 if bool(done.plans_due):
-                    found = timed(plans, plan, known[k], seen, now.q, key, state.avoid)
+                    found = timed(plans, plan, known[k], seen, now.q, key, state.tried)
                     state = adopt(state, found)
                 held = float(state.clock - state.entered[Phase.HOLDING])
                 if state.phase == Phase.FAILED or held >= _HOLD_S:

@@ -36,7 +36,7 @@ from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import known_object
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
-from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
+from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
@@ -211,8 +211,9 @@ def plans_of(
     """Plans of some worlds, a batch at a time, the last one filled up; arrays of NumPy."""
     q = worlds.measured.q
     begun = worlds.grasp is not None
-    avoid = worlds.grasp.avoid if begun else jnp.full((len(q), 3), jnp.inf, jnp.float32)
-    given, found = (known, seen_of(worlds.truth), q, avoid), []
+    before = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(q)), Tried.nothing())
+    tried = worlds.grasp.tried if begun else before
+    given, found = (known, seen_of(worlds.truth), q, tried), []
     for k in range(0, len(rows), batch):
         filled = jnp.asarray(np.resize(rows[k : k + batch], batch))
         found.append(jax.device_get(batch_plans(grasper, library, given, key, filled)))
@@ -223,14 +224,14 @@ def plans_of(
 def batch_plans(
     grasper: Grasper,
     library: Library,
-    given: tuple[Known, Seen, Array, Array],
+    given: tuple[Known, Seen, Array, Tried],
     key: Array,
     rows: Int[Array, " b"],
 ) -> Ways | None:
     """Plans of a batch of worlds."""
 
-    def one(known: Known, seen: Seen, q: Array, avoid: Array, row: Array) -> Ways | None:
-        return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), avoid)
+    def one(known: Known, seen: Seen, q: Array, tried: Tried, row: Array) -> Ways | None:
+        return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
 
     return jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], given), rows)
 

@@ -4,7 +4,8 @@ Objects lie at random on the table and are grasped "near the top", "by the handl
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
 distance of the place from the contacts is measured: of those of the first try, of those of the
 last, and of the fingertips when the lift begins. A side may lie on the table; it is asked for all
-the same, and how high the place is says so. The shipped policy closes.
+the same: how high the place is says so, and how near the nearest contacts are that can be used in
+that pose at all. The shipped policy closes.
 `--processes 2` makes the grasps of both ways at once, and a run that was killed goes on after the
 first one where it had finished it.
 
@@ -35,12 +36,14 @@ from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned, turned_back
+from mjx_grasp.grasp.candidates import vertex_candidates
+from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
@@ -104,7 +107,7 @@ def stacked(known: list[Known]) -> Known:
 def contacts_in_object(
     grasper: Grasper, physics: NativePhysics, trace: Trace
 ) -> Float[np.ndarray, "3 w 3 3"]:
-    """Chosen contacts at first and last handoff, and fingertips at lift onset; object frame [m].
+    """Chosen contacts at first and last handoff, fingertips as the last lift begins; object frame.
 
     They are nan in trials that do not come so far.
     """
@@ -113,12 +116,13 @@ def contacts_in_object(
     pads = jax.jit(lambda q: grasper.reacher.body.kinematics.motion(q).pos[:FINGERS])
     for w in range(worlds):
         phase, qpos = trace.phase[:, w], trace.qpos[:, w]
-        lifting = np.flatnonzero(phase == Phase.LIFTING)
-        before = phase[: lifting[0]] if len(lifting) else phase
+        lifting = phase == Phase.LIFTING
+        begins = np.flatnonzero(lifting & ~np.append(False, lifting[:-1]))[-1:]
+        before = phase[: begins[0]] if len(begins) else phase
         for kept, tick, points in (
-            (first, np.flatnonzero(before == Phase.CLOSING)[:1], trace.contacts[:, w]),
+            (first, np.flatnonzero(phase == Phase.CLOSING)[:1], trace.contacts[:, w]),
             (chosen, np.flatnonzero(before == Phase.CLOSING)[-1:], trace.contacts[:, w]),
-            (achieved, lifting[:1], None),
+            (achieved, begins, None),
         ):
             if len(tick):
                 t = int(tick[0])
@@ -132,6 +136,7 @@ def contacts_in_object(
 def rows_of(
     way: str,
     places: list[Place],
+    within: list[float | None],
     names: list[str],
     ran: tuple[GraspEnd, Trace],
     grasper: Grasper,
@@ -144,7 +149,9 @@ def rows_of(
     rows = []
     contacts = zip(*contacts_in_object(grasper, physics, trace), strict=True)
     heights = heights_of(places, problem)
-    for place, row, height, apart in zip(places, ends, heights, contacts, strict=True):
+    for place, row, height, nearest, apart in zip(
+        places, ends, heights, within, contacts, strict=True
+    ):
         first, chosen, achieved = (_distance(points, place.anchor) for points in apart)
         rows.append(
             {
@@ -152,6 +159,7 @@ def rows_of(
                 "kind": place.kind,
                 "place": place.name,
                 "height_mm": round(1e3 * float(height), 1),
+                "nearest_mm": nearest,
                 "steering": way,
                 "outcome": row.outcome,
                 "force_mean_n": row.force_mean_n,
@@ -168,6 +176,24 @@ def heights_of(places: list[Place], problem: GraspProblem) -> Float[np.ndarray, 
     points = jnp.asarray(np.stack([place.anchor.point for place in places]), jnp.float32)
     turn = so3.quat_to_mat(jnp.asarray(problem.quat))
     return np.asarray(problem.p_wo[:, 2] + turned(turn, points)[:, 2])
+
+
+def nearest_usable(
+    heatmap: Heatmap, place: Place, p_wo: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]
+) -> float | None:
+    """Mean distance of the nearest contacts that the selection would take where the object lies.
+
+    Whether there is a posture to reach them is another question [mm].
+    """
+    selection = whole_grasps().selection
+    candidates = vertex_candidates(heatmap)
+    ways = target_options(candidates, selection.targets)
+    R_wo = so3.quat_to_mat(jnp.asarray(quat))
+    high = admissible(candidates, ways, jnp.asarray(p_wo), R_wo, selection.targets)
+    good = candidates.valid & (jnp.asarray(heatmap.score_without_com) >= selection.min_score)
+    usable = np.asarray(high & good[ways.candidate])
+    apart = [_distance(points, place.anchor) for points in np.asarray(ways.position)[usable]]
+    return min((d for d in apart if d is not None), default=None)
 
 
 def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | None:
@@ -209,6 +235,12 @@ class Steered:
     def _heatmaps(self) -> list[Heatmap]:
         return [heatmap_of(obj, self._robot.hand) for obj in self._objects]
 
+    @functools.cached_property
+    def _within(self) -> list[float | None]:
+        """Of each place how near contacts can come to it where its object lies."""
+        poses = zip(self._places, self._problem.p_wo, self._problem.quat, strict=True)
+        return [nearest_usable(self._heatmaps[p.index], p, *pose) for p, *pose in poses]
+
     def rows(self, way: str) -> list[dict[str, Any]]:
         """All trials in one way."""
         robot, objects, problem = self._robot, self._objects, self._problem
@@ -227,7 +259,7 @@ class Steered:
             self._progress,
         )  # fmt: skip
         names = [obj.name for obj in objects]
-        return rows_of(way, self._places, names, ran, grasper, physics, problem)
+        return rows_of(way, self._places, self._within, names, ran, grasper, physics, problem)
 
 
 def main(config: SteeredConfig) -> None:

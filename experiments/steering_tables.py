@@ -14,6 +14,7 @@ from mjx_grasp.records.table import Table
 _DEFAULT = "default"
 ON_TABLE_MM = 15.0
 """A place nearer to the table lies on it: no fingertip fits between."""
+_APART = ("nearest_mm", "first_mm", "chosen_mm", "achieved_mm")
 Places = list[dict[str, dict[str, Any]]]
 """Of each place the rows by the way of steering."""
 
@@ -99,25 +100,29 @@ def executed(path: Path) -> str:
             continue
         for way, rows in of.items():
             held = sum(row["outcome"] == "success" for row in rows)
-            both = [(a["achieved_mm"], b["achieved_mm"]) for a, b in pairs]
-            nearer = [b < a for a, b in both if a is not None and b is not None]
+            apart = (_median([row[at] for row in rows]) for at in _APART)
             lines.append(
                 (
                     name,
                     f"{len(rows)}",
                     way,
-                    _median([row["chosen_mm"] for row in rows]),
-                    _median([row["achieved_mm"] for row in rows]),
-                    f"{100 * np.mean(nearer):.0f}" if way != ways[0] and nearer else "",
+                    *apart,
+                    *("" if way == ways[0] else _nearer(pairs, at) for at in _APART[1:]),
                     f"{100 * held / len(rows):.1f}",
                     _median([row["force_mean_n"] for row in rows]),
                 )
             )
     header = (
-        *("places", "grasps", "steering", "chosen mm", "achieved mm"),
-        *("nearer %", "lifted and held %", "force N"),
+        *("places", "grasps", "steering", "nearest mm", "first mm", "last mm", "achieved mm"),
+        *("first nearer %", "last nearer %", "achieved nearer %", "lifted and held %", "force N"),
     )
     return markdown(Table("Steered grasps", header, tuple(lines), names=3))
+
+
+def _nearer(pairs: Sequence[Sequence[dict[str, Any]]], at: str) -> str:
+    """In how many pairs the second comes nearer, of those in which both come so far [%]."""
+    both = [(a[at], b[at]) for a, b in pairs if a[at] is not None and b[at] is not None]
+    return f"{100 * np.mean([b < a for a, b in both]):.0f}" if both else ""
 
 
 def _median(values: Sequence[float | None]) -> str:

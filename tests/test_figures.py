@@ -17,9 +17,14 @@ from PIL import Image
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.evaluation.trials import Trials
+from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.objects.model import load_objects
+from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.training.config import settings_of
 
 ROOT = Path(__file__).resolve().parent.parent
+IDENTITY = np.float32([1.0, 0.0, 0.0, 0.0])
 
 
 def script(name, folder="experiments"):
@@ -91,7 +96,7 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
         named = {"object": "mug", "kind": kind, "place": "rim", "steering": way}
         named |= {"height_mm": 60.0 if kind == "part" else 3.0}
         return named | {"outcome": outcome, "force_mean_n": 2.0} | {
-            "chosen_mm": 10.0, "achieved_mm": achieved,
+            "nearest_mm": 8.0, "first_mm": achieved, "chosen_mm": 10.0, "achieved_mm": achieved,
         }  # fmt: skip
 
     rows = [
@@ -99,13 +104,32 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
         row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None),
     ]  # fmt: skip
     path = tmp_path / "grasps.json"
-    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/2", "rows": rows}))
+    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/3", "rows": rows}))
     lines = script("steering_tables").executed(path).splitlines()[2:]
-    assert lines[0] == "| parts | 1 | default | 10.0 | 40.0 |  | 100.0 | 2.0 |"
-    assert lines[1] == "| parts | 1 | contacts | 10.0 | 12.0 | 100 | 100.0 | 2.0 |"
-    assert lines[5] == "| all | 2 | contacts | 10.0 | 12.0 | 100 | 50.0 | 2.0 |"
-    only = "| all that do not lie on the table | 1 | contacts | 10.0 | 12.0 | 100 | 100.0 | 2.0 |"
+    near = "8.0 | 12.0 | 10.0 | 12.0 | 100 | 0 | 100"
+    assert lines[0] == "| parts | 1 | default | 8.0 | 40.0 | 10.0 | 40.0 |  |  |  | 100.0 | 2.0 |"
+    assert lines[1] == f"| parts | 1 | contacts | {near} | 100.0 | 2.0 |"
+    assert lines[5] == f"| all | 2 | contacts | {near} | 50.0 | 2.0 |"
+    only = f"| all that do not lie on the table | 1 | contacts | {near} | 100.0 | 2.0 |"
     assert lines[-1] == only
+
+
+def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module = script("steered_grasps")
+    (can,) = load_objects(("tuna_fish_can",))
+    heatmap = heatmap_of(can, load_robot().hand)
+    contacts = np.concatenate([heatmap.thumb[:, None], heatmap.wrap], axis=1)
+    good = heatmap.valid & (heatmap.score_without_com >= whole_grasps().selection.min_score)
+    for place in module.places_of(0, can)[:2]:
+        apart = np.linalg.norm(contacts[good] - place.anchor.point, axis=2).mean(axis=1)
+        high = module.nearest_usable(heatmap, place, np.float32([0.5, 0.0, 0.5]), IDENTITY)
+        assert high == pytest.approx(1e3 * apart.min(), abs=6.0)  # wraps turn with the reach axis
+        low = float(can.mesh.vertices[:, 2].min())
+        there = module.nearest_usable(heatmap, place, np.float32([0.5, 0.0, -low]), IDENTITY)
+        assert there >= high
+        under = np.float32([0.5, 0.0, -0.5])
+        assert module.nearest_usable(heatmap, place, under, IDENTITY) is None
 
 
 def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):

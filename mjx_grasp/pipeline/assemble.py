@@ -84,7 +84,7 @@ def whole_grasps(
         press_weight=4.0,
         heavier=1.25,
         edge_weight=800.0,
-        lesser_cost=50.0 if steered else 35.0,
+        lesser_cost=80.0 if steered else 35.0,
         at_least=STEERED_AT_LEAST if steered else (),
         lesser_scores=(0.0,),
         approach=approach,

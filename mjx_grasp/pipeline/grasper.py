@@ -43,6 +43,7 @@ from mjx_grasp.pipeline.state import (
     Handoff,
     Known,
     Seen,
+    Tried,
     Ways,
     to_object,
     to_world,
@@ -105,7 +106,7 @@ class Grasper:
         seen: Seen,
         q: Float[Array, " n"],
         key: Array,
-        avoid: Float[Array, " 3"] | None = None,
+        tried: Tried | None = None,
     ) -> Ways | None:
         """Ways to grasp the object where it is; an event, much dearer than a tick.
 
@@ -115,20 +116,18 @@ class Grasper:
             seen: Where it is, and what is in the way.
             q: Measured joint positions [rad].
             key: Of what is tried at random.
-            avoid: Thumb contact of a grasp that has failed, `GraspState.avoid`: another one is not
-                looked for near it, nor near an anchor.
+            tried: `GraspState.tried`, nothing by default. Another way is not looked for near the
+                contact of one that has failed, nor near an anchor.
         """
         if self.planner is None:
             return None
         still = jnp.zeros((len(seen.obstacles), 3))
         around = Surroundings.still(known.shape, seen.p_wo, seen.R_wo, known.com, known.weight)
         around = around._replace(obstacles=seen.obstacles, obstacle_velocity=still)
-        candidates, failed = known.candidates, jnp.asarray(False)
-        if avoid is not None:
-            failed = jnp.isfinite(avoid[0])  # near an anchor; what holds best comes next
-            away = norm(candidates.thumb - avoid) >= self.config.avoided
-            candidates = candidates._replace(valid=candidates.valid & away)
-        plans = self.planner.search(library, candidates, around, q, key, failed).plans
+        tried = tried or Tried.nothing()
+        away = norm(known.candidates.thumb - tried.avoid) >= self.config.avoided
+        candidates = known.candidates._replace(valid=known.candidates.valid & away)
+        plans = self.planner.search(library, candidates, around, q, key, tried.failed).plans
         return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
 
     def start(

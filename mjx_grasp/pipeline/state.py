@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.closer import CloserState
@@ -47,6 +48,20 @@ class Seen(NamedTuple):
     """contact flags from outside, all false if there are none"""
     obstacles: Float[Array, "k 4"]
     """spheres to avoid while reaching: centre and radius [m]"""
+
+
+class Tried(NamedTuple):
+    """What new plans have to know of the tries before."""
+
+    failed: Bool[Array, ""]
+    """whether one has failed"""
+    avoid: Float[Array, " 3"]
+    """thumb contact of the last that failed after closing, object frame; +inf before that [m]"""
+
+    @classmethod
+    def nothing(cls) -> Tried:
+        """Before the first try."""
+        return cls(jnp.asarray(False), jnp.full(3, jnp.inf, jnp.float32))
 
 
 class ClosingMemory(NamedTuple):
@@ -100,6 +115,11 @@ class GraspState(NamedTuple):
     """joint position targets sent last [rad]"""
     closing: ClosingMemory
     handoff: Handoff
+
+    @property
+    def tried(self) -> Tried:
+        """What new plans have to know."""
+        return Tried(self.retries > 0, self.avoid)
 
 
 class GraspTick(NamedTuple):

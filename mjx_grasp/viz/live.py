@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from mjx_grasp.evaluation.grasps.plans import planned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
-from mjx_grasp.pipeline.state import Known, Ways
+from mjx_grasp.pipeline.state import Known, Tried, Ways
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.robot.interface import Measured
@@ -179,7 +179,7 @@ class LiveGrasp:
         measured, truth = at_rest(self.scene, qpos[None], self._physics.substeps)
         ctrl = jnp.asarray(self._home[np.argsort(at.robot_ctrl)])[None]
         measured, truth = jax.tree.map(lambda leaf: leaf[0], (measured, truth))
-        ways = self._ways(library, known, measured, truth, jnp.full(3, jnp.inf, jnp.float32), key)
+        ways = self._ways(library, known, measured, truth, Tried.nothing(), key)
         physics = self._physics.init(jnp.asarray(qpos[None]), ctrl)
         return begin(self.grasper, physics, measured, truth, known, ways)
 
@@ -189,14 +189,14 @@ class LiveGrasp:
         known: Known,
         measured: Measured,
         truth: Truth,
-        avoid: Float[Array, " 3"],
+        tried: Tried,
         key: Array,
     ) -> Ways | None:
         if library is None:
             return None
-        given = known, seen(truth), measured.q, avoid
-        many, there, q, avoid = jax.tree.map(lambda leaf: leaf[None], given)
-        found = planned(self.grasper, library, many, there, q, avoid, key, np.arange(1))
+        given = known, seen(truth), measured.q, tried
+        many, there, q, tried = jax.tree.map(lambda leaf: leaf[None], given)
+        found = planned(self.grasper, library, many, there, q, tried, key, np.arange(1))
         return jax.block_until_ready(jax.tree.map(lambda leaf: leaf[0], found))
 
     def _replan(self, due: bool) -> None:
@@ -208,5 +208,5 @@ class LiveGrasp:
                 self._state = adopt(self.grasper, self._state, ways)
         elif self._plans is None and due:
             state, (self._key, key) = self._state, jax.random.split(self._key)
-            now = state.measured, state.truth, state.grasp.avoid
+            now = state.measured, state.truth, state.grasp.tried
             self._plans = self._beside.submit(self._ways, self._library, self._known, *now, key)

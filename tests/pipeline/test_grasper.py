@@ -35,7 +35,7 @@ from mjx_grasp.pipeline.assemble import (
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
-from mjx_grasp.pipeline.state import Known, Seen
+from mjx_grasp.pipeline.state import Known, Seen, Tried
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Plans, Reacher
@@ -372,6 +372,37 @@ class _Chooses:
     def search(self, library, candidates, around, q, key, anywhere=False):
         along, first = jnp.array([[0.0, 0.0, 1.0]]), jnp.zeros(1, jnp.int32)
         return SimpleNamespace(plans=Plans(first, along, along, None))
+
+
+@pytest.mark.wrong_types
+def test_new_plans_keep_away_from_what_has_failed_and_give_up_an_anchor(make, known):
+    """A reach in vain gives the anchor up too, with no contact to keep away from."""
+    heard = []
+
+    class Hears(_Chooses):
+        def search(self, library, candidates, around, q, key, anywhere=False):
+            heard.append((np.asarray(candidates.valid), bool(anywhere)))
+            return super().search(library, candidates, around, q, key, anywhere)
+
+    grasper = replace(make(), planner=Hears())
+    thumb = known.candidates.thumb[0]
+    for tried, away, anywhere in (
+        (None, False, False),
+        (Tried.nothing(), False, False),
+        (Tried.nothing()._replace(failed=jnp.asarray(True)), False, True),
+        (Tried(jnp.asarray(True), thumb), True, True),
+    ):
+        grasper.plan(None, known, seen(), None, None, tried)
+        valid, said = heard.pop()
+        assert said == anywhere and valid[0] == (known.candidates.valid[0] & (not away))
+        far = np.linalg.norm(known.candidates.thumb - thumb, axis=1) > 0.021
+        assert np.array_equal(valid[far], known.candidates.valid[far])
+
+
+def test_what_plans_are_told_of_the_tries_before_is_in_the_state(begun):
+    assert not begun.tried.failed and np.all(np.isinf(begun.tried.avoid))
+    later = begun._replace(retries=jnp.int32(1), avoid=jnp.ones(3))
+    assert later.tried.failed and np.array_equal(later.tried.avoid, np.ones(3))
 
 
 @pytest.mark.wrong_types

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from mjx_grasp.pipeline.grasper import Grasper
-from mjx_grasp.pipeline.state import Known, Seen, Ways
+from mjx_grasp.pipeline.state import Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library
 
 
@@ -20,7 +20,7 @@ def planned(
     known: Known,
     seen: Seen,
     q: Float[Array, "w n"],
-    avoid: Float[Array, "w 3"],
+    tried: Tried,
     key: Array,
     rows: Int[np.ndarray, " k"],
 ) -> Ways | None:
@@ -32,13 +32,13 @@ def planned(
         known: Of each world's object.
         seen: What each perceives.
         q: Measured joint positions [rad].
-        avoid: See `Grasper.plan`.
+        tried: In each world, see `Grasper.plan`.
         key: Of what is tried at random.
         rows: The worlds.
     """
     if library is None:
         return None
-    given = known, seen, q, avoid
+    given = known, seen, q, tried
     found = [_plan(grasper, library, given, key, jnp.int32(row)) for row in rows]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
@@ -47,9 +47,9 @@ def planned(
 def _plan(
     grasper: Grasper,
     library: Library,
-    given: tuple[Known, Seen, Float[Array, "w n"], Float[Array, "w 3"]],
+    given: tuple[Known, Seen, Float[Array, "w n"], Tried],
     key: Array,
     row: Int[Array, ""],
 ) -> Ways | None:
-    known, seen, q, avoid = jax.tree.map(lambda leaf: leaf[row], given)
-    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), avoid)
+    known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], given)
+    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)

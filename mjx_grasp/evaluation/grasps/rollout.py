@@ -30,7 +30,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
-from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
+from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.fields import midpoint
@@ -162,8 +162,8 @@ def grasp_all(
     key, noise = jax.random.split(jax.random.key(seed))
     tracked = start_track(*_pose(truth), dt)
     seen = _seen(tracked, truth, given)
-    nowhere = jnp.full((worlds, 3), jnp.inf, jnp.float32)
-    plans = planned(grasper, library, known, seen, measured.q, nowhere, key, np.arange(worlds))
+    before = jax.tree.map(lambda leaf: jnp.stack([leaf] * worlds), Tried.nothing())
+    plans = planned(grasper, library, known, seen, measured.q, before, key, np.arange(worlds))
     grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
         physics=physics.init(jnp.asarray(qpos), ctrl),
@@ -191,8 +191,8 @@ def grasp_all(
         if len(due):
             key = jax.random.fold_in(key, number)
             now = _seen(carry.track, carry.truth, given)
-            avoid, q = carry.grasp.avoid, carry.measured.q
-            found = planned(grasper, library, known, now, q, avoid, key, due)
+            tried, q = carry.grasp.tried, carry.measured.q
+            found = planned(grasper, library, known, now, q, tried, key, due)
             new = jax.tree.map(lambda a, b, due=due: b.at[due].set(a), found, carry.grasp.ways)
             mask = np.isin(np.arange(worlds), due)
             adopted = _adopted(grasper, carry.grasp, new, mask)

@@ -16,7 +16,9 @@ def main() -> None:
 
     console = Console(stderr=True)
     result = run_demo(config, console)
-    console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}")
+    apart = result["from_anchor_mm"]
+    where = "" if apart is None else f", contacts {apart:.0f} mm from the anchor"
+    console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}{where}")
     console.print(f"written: {config.out / 'index.html'}")
 
 

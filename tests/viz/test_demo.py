@@ -65,7 +65,11 @@ def shown(success):
         "force_peak_n": 3.0, "replans": 0, "returns": 1,
     }  # fmt: skip
     stages = [Stage("reaching", 0.0, 0.2), Stage("closing", 0.2, 0.3), Stage("lifting", 0.3, 0.6)]
-    result = {"grasp": grasp, "seconds": {"heatmap": 1.0}}
+    result = {
+        "grasp": grasp,
+        "seconds": {"heatmap": 1.0},
+        "from_anchor_mm": 23.4 if success else None,
+    }
     return Shown("a <box>", success, subject, curves, stages, None, "no renderer", result)
 
 
@@ -74,7 +78,15 @@ def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
     assert "a &lt;box&gt;" in page and "lifted and held" in page and "No film. no renderer" in page
     assert page.count("data:image/png;base64,") == 3
     assert "http" not in page.replace("http-equiv", "") and "src='/" not in page
-    assert "never lifted" in demo_page(shown(False))
+    assert "<dt>contacts from the anchor</dt><dd>23.4 mm</dd>" in page
+    failed = demo_page(shown(False))
+    assert "never lifted" in failed and "from the anchor" not in failed
+
+
+def test_how_far_from_the_anchor_contacts_are_is_in_its_own_unit():
+    contacts = np.array([[0.03, 0.0, 0.0], [0.0, -0.05, 0.0], [0.0, 0.0, 0.04]])
+    assert run.from_anchor(np.zeros(3), contacts) == 40.0
+    assert run.from_anchor(None, contacts) is None
 
 
 def test_an_instruction_and_a_point_are_one_too_many():

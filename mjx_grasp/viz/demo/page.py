@@ -87,6 +87,8 @@ def _numbers(result: dict[str, Any]) -> str:
         "new plans": str(grasp["replans"]),
         "returns to reaching": str(grasp["returns"]),
     }
+    if result["from_anchor_mm"] is not None:
+        rows["contacts from the anchor"] = f"{result['from_anchor_mm']:g} mm"
     made = ", ".join(f"{name} {seconds:g} s" for name, seconds in result["seconds"].items())
     rows["computed in"] = made
     return (

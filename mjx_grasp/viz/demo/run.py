@@ -256,6 +256,15 @@ def _curves(trace: Trace, dt: float) -> Curves:
     )
 
 
+def from_anchor(
+    anchor: Float[np.ndarray, " 3"] | None, contacts: Float[np.ndarray, "3 3"]
+) -> float | None:
+    """Mean distance of contacts from the place that was asked for [mm]; None of no place."""
+    if anchor is None:
+        return None
+    return round(1e3 * float(np.linalg.norm(contacts - anchor, axis=1).mean()), 1)
+
+
 def _result(
     obj: ObjectModel,
     steered: Steered,
@@ -277,6 +286,7 @@ def _result(
         "success": row.outcome == "success",
         "phases": [stage._asdict() for stage in stages],
         "contacts_m": np.round(contacts, 4).tolist(),
+        "from_anchor_mm": from_anchor(steered.anchor, contacts),
         "normals": np.round(normals, 4).tolist(),
         "grasp": asdict(row),
         "seconds": seconds,

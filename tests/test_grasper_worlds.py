@@ -17,13 +17,13 @@ class State(NamedTuple):
     """As much of a grasp's state as the bookkeeping looks at."""
 
     ways: Any
-    avoid: Any
+    tried: Any
 
 
 class Planner:
     """Plans that say for whom they were made."""
 
-    def plan(self, library, known, seen, q, key, avoid):
+    def plan(self, library, known, seen, q, key, tried):
         return {"of": q[0], "at": seen.p_wo}
 
     def adopt(self, state, ways):

@@ -339,6 +339,26 @@ def test_a_claim_is_judged_by_what_the_files_hold(root):
     assert "| 8.3 % against 0.8 % | 0.0 % against 0.0 % | does not |" in text
 
 
+@pytest.mark.parametrize(("trained", "said"), [((9.0, 8.0), "does not"), ((8.0, 9.0), "holds")])
+def test_of_trainings_as_published_the_best_in_training_is_judged(root, trained, said):
+    results = root / "experiments" / "results"
+    (results / "seeds").mkdir(exist_ok=True)
+    assert "as published the best" not in make_readme.paper_tables.claims(results)
+    table = {"rows": []}
+    for k, lifted in enumerate((32, 60)):
+        name = f"published-{k}"
+        rows = [result("apple", lifted, 5.0)]
+        write_results(results / "seeds" / f"{name}.json", rows, PROVENANCE, FIRST_ROBOT)
+        table["rows"].append({"run": name, "training_success_percent": trained[k]})
+    (results / "training_runs.json").write_text(json.dumps(table))
+    (line,) = [
+        line
+        for line in make_readme.paper_tables.claims(results).splitlines()
+        if "as published the best" in line
+    ]
+    assert "of 2, which lift 50.0 to 93.8 %, the most of them at 4.2 N" in line and said in line
+
+
 def test_stale_sections_fail_the_check_and_stay(root):
     with pytest.raises(InputError, match=r"README\.md.*make readme"):
         run(root, check=True)

@@ -210,9 +210,7 @@ def plans_of(
 ) -> Ways:
     """Plans of some worlds, a batch at a time, the last one filled up; arrays of NumPy."""
     q = worlds.measured.q
-    begun = worlds.grasp is not None
-    before = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(q)), Tried.nothing())
-    tried = worlds.grasp.tried if begun else before
+    tried = Tried.nothing(len(q)) if worlds.grasp is None else worlds.grasp.tried
     given, found = (known, seen_of(worlds.truth), q, tried), []
     for k in range(0, len(rows), batch):
         filled = jnp.asarray(np.resize(rows[k : k + batch], batch))

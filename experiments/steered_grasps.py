@@ -55,6 +55,7 @@ from mjx_grasp.records.settings import Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.viz.demo.run import from_anchor
 
 SCHEMA = "mjx_grasp.steered_grasps/3"
 _TEN = (
@@ -200,7 +201,7 @@ def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | Non
     """Mean distance of the contacts from the anchor."""
     if np.isnan(contacts).any():
         return None
-    return round(1e3 * float(np.linalg.norm(contacts - anchor.point, axis=1).mean()), 1)
+    return from_anchor(anchor.point, contacts)
 
 
 class Steered:

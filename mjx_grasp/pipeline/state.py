@@ -59,9 +59,9 @@ class Tried(NamedTuple):
     """thumb contact of the last that failed after closing, object frame; +inf before that [m]"""
 
     @classmethod
-    def nothing(cls) -> Tried:
-        """Before the first try."""
-        return cls(jnp.asarray(False), jnp.full(3, jnp.inf, jnp.float32))
+    def nothing(cls, *worlds: int) -> Tried:
+        """Before the first try, in one world or several."""
+        return cls(jnp.zeros(worlds, bool), jnp.full((*worlds, 3), jnp.inf, jnp.float32))
 
 
 class ClosingMemory(NamedTuple):

@@ -126,6 +126,7 @@ class Planner:
         if plan.at_least:
             scores[:1] = self._least_scores(candidates, around)
             thorough.add(len(scores) - 1)
+        # Of the best, and of the last where there is a wish, the light ones come first.
         tries = [
             (score, only)
             for k, score in enumerate(scores)

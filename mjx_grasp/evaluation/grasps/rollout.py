@@ -162,8 +162,8 @@ def grasp_all(
     key, noise = jax.random.split(jax.random.key(seed))
     tracked = start_track(*_pose(truth), dt)
     seen = _seen(tracked, truth, given)
-    before = jax.tree.map(lambda leaf: jnp.stack([leaf] * worlds), Tried.nothing())
-    plans = planned(grasper, library, known, seen, measured.q, before, key, np.arange(worlds))
+    before, everyone = Tried.nothing(worlds), np.arange(worlds)
+    plans = planned(grasper, library, known, seen, measured.q, before, key, everyone)
     grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
         physics=physics.init(jnp.asarray(qpos), ctrl),

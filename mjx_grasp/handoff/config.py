@@ -88,8 +88,9 @@ class HandoffConfig(ObjectsConfig):
 
     out: Annotated[Path, Suffix((".npz",))]
     """the handoff set to write (.npz); a report (.json) is written beside it"""
-    update: Path | None = None
-    """an earlier set, with its report: what it has of other objects is taken over"""
+    update: tuple[Path, ...] = ()
+    """earlier sets, each with its report: what they have of other objects is taken over, of an
+    object that several have from the last of them"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     per_object: Count = 128

@@ -47,17 +47,19 @@ def make_handoffs(
     Raises:
         InputError: An unknown object or robot, a robot that does not reach the table, a file that
             cannot be written, or no pre-grasp of any object; nothing is written then.
-        FileError: An object's scan, the robot's description or the set to update cannot be read.
+        FileError: An object's scan, the robot's description or a set to update cannot be read.
     """
     check_writable("--out", config.out)
     made = provenance(config.seed)  # of the code as it is before the set changes a tracked file
     names = resolve(config.objects)
-    sets, reports, earlier = [], [], None
+    sets: list[HandoffSet] = []
+    reports: list[ObjectReport] = []
     robot = load_robot(config.robot)
-    if config.update is not None:
-        before = load_handoffs(config.update, robot=robot)
-        earlier = read_report(config.update.with_suffix(".json"))
-        kept = before.select([n for n in before.object_names if n not in names])
+    before = [load_handoffs(path, robot=robot) for path in config.update]
+    earlier = [read_report(path.with_suffix(".json")) for path in config.update]
+    for k, given in enumerate(before):
+        later = {*names, *(name for other in before[k + 1 :] for name in other.object_names)}
+        kept = given.select([n for n in given.object_names if n not in later])
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
     objects = load_objects(config.objects, config.objects_dir, weight=config.weight)

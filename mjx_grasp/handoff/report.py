@@ -189,7 +189,7 @@ def write_report(
     reports: Sequence[ObjectReport],
     provenance: dict[str, Any],
     config: dict[str, Any],
-    earlier: dict[str, Any] | None = None,
+    earlier: Sequence[dict[str, Any]] = (),
 ) -> None:
     """Writes the reports, the settings and the run's facts as JSON, complete or not at all.
 
@@ -198,14 +198,17 @@ def write_report(
         reports: One per object and kind.
         provenance: From `mjx_grasp.records.provenance.provenance`.
         config: The full configuration as JSON types.
-        earlier: The report of the set that was updated; its rows of other objects stay.
+        earlier: The reports of the sets that were updated; of an object that several have, the rows
+            of the last stay.
     """
     rows = [report.as_row() for report in reports]
     document: dict[str, Any] = {"provenance": provenance, "config": config}
-    if earlier is not None:
-        made = {report.name for report in reports}
-        rows = [row for row in earlier["objects"] if row["name"] not in made] + rows
-        document["earlier"] = [*earlier["earlier"], earlier["provenance"]]
+    for before in reversed(earlier):
+        made = {row["name"] for row in rows}
+        rows = [row for row in before["objects"] if row["name"] not in made] + rows
+    if earlier:
+        steps = [[*before["earlier"], before["provenance"]] for before in earlier]
+        document["earlier"] = [step for each in steps for step in each]
     document["objects"] = rows
     have = {row["name"] for row in rows if row["eligible"]}
     document["not_eligible"] = list(dict.fromkeys(r["name"] for r in rows if r["name"] not in have))

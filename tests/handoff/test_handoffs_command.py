@@ -55,6 +55,20 @@ def test_an_update_counts_and_keeps_the_whole_set(run, tmp_path):
     assert load_handoffs(out).counts() == {"foam_brick": 3, "sugar_box": 2}
 
 
+def test_several_sets_become_one_and_the_last_of_an_object_counts(run, tmp_path):
+    sets = [tmp_path / f"{k}.npz" for k in range(3)]
+    run("--objects", "foam_brick", "apple", "--out", sets[0], states=2)
+    run("--objects", "apple", "sugar_box", "--out", sets[1], states=4)
+    said = run("--objects", "sugar_box", "--update", *sets[:2], "--out", sets[2])
+    assert "9 states of 3 objects" in said
+    assert load_handoffs(sets[2]).counts() == {"foam_brick": 2, "apple": 4, "sugar_box": 3}
+    report = json.loads(sets[2].with_suffix(".json").read_text())
+    rows = [(row["name"], row["kept"]) for row in report["objects"]]
+    assert rows == [("foam_brick", 2), ("apple", 4), ("sugar_box", 3)]
+    made = [json.loads(s.with_suffix(".json").read_text())["provenance"] for s in sets[:2]]
+    assert report["earlier"] == made
+
+
 def test_an_update_warns_of_scans_among_stand_ins(run, tmp_path):
     out = tmp_path / "set.npz"
     run("--objects", "foam_brick", "--out", out)

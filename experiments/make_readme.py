@@ -83,7 +83,13 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),
-            "choice": policy_tables.choice(folder),
+            "choice": policy_tables.choice(folder / "choice", folder / "training_runs.json"),
+            "choice-planned": policy_tables.choice(
+                folder / "choice" / "planned", folder / "training_runs.json"
+            ),
+            "choice-all": policy_tables.choice(
+                folder / "choice" / "all", folder / "training_runs.json"
+            ),
             "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),

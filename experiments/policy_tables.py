@@ -129,16 +129,17 @@ _COMMON += ("handoffs", "seed", "out")
 """flags of a training that do not tell one from another here"""
 
 
-def choice(folder: Path) -> str:
+def choice(folder: Path, runs: Path) -> str:
     """Policies from states of the training set, among which one to ship is chosen.
 
     Args:
-        folder: The results files; those of the choice are in its `choice`, by the run's name.
+        folder: Comparisons from the same states, by the run's name.
+        runs: The table of runs.
     """
-    paths = sorted((folder / "choice").glob("*.json"))
+    paths = sorted(folder.glob("*.json"))
     if not paths:
         return NOTHING
-    trained = {row["run"]: row for row in run_rows(folder / "training_runs.json")}
+    trained = {row["run"]: row for row in run_rows(runs)}
     lines, conditions = [], sorted({c for p in paths for c in read_groups([p])}, key=_ease)
     for path in sorted(paths, key=lambda p: list(trained).index(p.stem)):
         row, groups = trained[path.stem], read_groups([path])
@@ -159,21 +160,21 @@ def choice(folder: Path) -> str:
 
 
 def told(folder: Path) -> str:
-    """A policy that reads what only a simulator knows beside the shipped one, budget by budget.
+    """A policy that reads what only a simulator knows beside one trained alike that does not.
 
     Args:
-        folder: The results files; the one of such a policy is in its `told`, from the same start
-            states as `eight_native.json`.
+        folder: The results files; that of the one is in its `told`, that of the other, `longer`, in
+            its `seeds`, from the same start states.
     """
     path = folder / "told" / "native.json"
     if not path.exists():
         return NOTHING
-    knowing, shipped = read_groups([path]), read_groups([folder / "eight_native.json"])
+    knowing, sensing = read_groups([path]), read_groups([folder / "seeds" / "longer.json"])
     lines = []
     for condition in sorted(knowing, key=_ease):
-        beside = {_budget(column): column for column in shipped[condition]}
+        beside = {_budget(column): column for column in sensing[condition]}
         for column in sorted(knowing[condition], key=_budget):
-            for name, of in (("told", column), ("shipped", beside[_budget(column)])):
+            for name, of in (("told", column), ("longer", beside[_budget(column)])):
                 trials = sum(row.episodes for row in of.rows.values())
                 lines.append(
                     (

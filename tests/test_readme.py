@@ -263,7 +263,9 @@ def test_what_was_chosen_among_stands_in_the_order_of_the_runs(tmp_path):
         hard = replace(result("apple", 0, 10.0), friction=0.5, force_budget_n=3.0)
         path = tmp_path / "choice" / f"{name}.json"
         write_results(path, [tried, hard], PROVENANCE, FIRST_ROBOT)
-    _, _, *lines = make_readme.policy_tables.choice(tmp_path).splitlines()
+    _, _, *lines = make_readme.policy_tables.choice(
+        tmp_path / "choice", tmp_path / "training_runs.json"
+    ).splitlines()
     flag = "`task.reward.spent -1`"
     assert [values(line) for line in lines] == [
         ["second", flag, "0", "3", "25.0 at 4.25", "0.0 at 4.25"],
@@ -271,7 +273,7 @@ def test_what_was_chosen_among_stands_in_the_order_of_the_runs(tmp_path):
     ]
 
 
-def test_a_policy_that_knows_more_stands_beside_the_shipped_one_with_the_same_budget(tmp_path):
+def test_a_policy_that_knows_more_stands_beside_one_trained_alike_with_the_same_budget(tmp_path):
     def row(outcomes, forces, **settings):
         lifted = outcomes.count("S")
         found = {"episodes": 4, "never_lifted": 4 - lifted, "ci95": wilson_interval(lifted, 4)}
@@ -279,19 +281,20 @@ def test_a_policy_that_knows_more_stands_beside_the_shipped_one_with_the_same_bu
         return replace(result("apple", lifted, 5.0), **found, force_budget_n=3.0, **settings)
 
     (tmp_path / "told").mkdir()
+    (tmp_path / "seeds").mkdir()
     knowing = row("SSSL", (1.0, 3.5, 2.0, 0.5), force_mean_n=1.75)
-    shipped = row("SLSL", (4.5, 3.5, 2.0, 0.5), force_mean_n=2.6)
-    squeeze = replace(shipped, controller="squeeze", squeeze_force_n=3.0, force_budget_n=None)
-    other = replace(shipped, force_budget_n=8.0)
+    sensing = row("SLSL", (4.5, 3.5, 2.0, 0.5), force_mean_n=2.6)
+    squeeze = replace(sensing, controller="squeeze", squeeze_force_n=3.0, force_budget_n=None)
+    other = replace(sensing, force_budget_n=8.0)
     assert make_readme.policy_tables.told(tmp_path) == make_readme.closing_tables.NOTHING
     write_results(tmp_path / "told" / "native.json", [knowing], PROVENANCE, FIRST_ROBOT)
-    rows = [shipped, squeeze, other]
-    write_results(tmp_path / "eight_native.json", rows, PROVENANCE, FIRST_ROBOT)
+    rows = [sensing, squeeze, other]
+    write_results(tmp_path / "seeds" / "longer.json", rows, PROVENANCE, FIRST_ROBOT)
     _, _, *lines = make_readme.policy_tables.told(tmp_path).splitlines()
     condition = "native MuJoCo, ±5 mm, friction 0.8"
     assert [values(line) for line in lines] == [
         [condition, "3", "told", "4", "75.0 at 1.75", "50.0", "75.0"],
-        [condition, "3", "shipped", "4", "50.0 at 2.60", "25.0", "25.0"],
+        [condition, "3", "longer", "4", "50.0 at 2.60", "25.0", "25.0"],
     ]
 
 

@@ -187,7 +187,7 @@ def grasps_by_split(path: Path) -> str:
     nominal, lines = d["scenarios"][NOMINAL], []
     for split, said in (("train", "Objects of training"), ("held_out", "Objects kept out of it")):
         rows = [row for row in nominal["rows"] if row["object"] in groups()[split]]
-        ways = [row for row in rows if row["failure"] != _NO_WAY]
+        ways = [row for row in rows if not _refused(row)]
         held = [row for row in rows if row["outcome"] == "success"]
         up = [row for row in rows if row["up_at_9s"]]
         lines.append(
@@ -195,10 +195,15 @@ def grasps_by_split(path: Path) -> str:
             f"the {len(ways)} trials of {len(rows)} in which there was a way, {_share(held, ways)} "
             f"and {_share(up, ways)}."
         )
-    refused = Counter(row["object"] for row in nominal["rows"] if row["failure"] == _NO_WAY)
+    refused = Counter(row["object"] for row in nominal["rows"] if _refused(row))
     names = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in refused.most_common())
     lines.append(f"- Trials without a way: {names or 'none'}.")
     return f"{whole_grasps([path])}\n\n" + "\n".join(lines)
+
+
+def _refused(row: dict[str, Any]) -> bool:
+    """Whether a trial ended for want of a way; one lost after the lift may find none either."""
+    return row["outcome"] == "not_reached" and row["failure"] == _NO_WAY
 
 
 def _share(some: Sequence[Any], every: Sequence[Any]) -> str:

@@ -535,7 +535,7 @@ def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
     summed = {"trials": 4, "success_percent": 50.0, "ci95": [15.0, 85.0], "up_at_9s": 1}
     summed |= dict(not_reached=1, never_lifted=0, slipped=1, not_held=0, hit=2)
     summed |= dict(lifted_s=3.14, tip_error_mm=[7.0, 5.5, 5.0], midpoint_mm=4.4, force_mean_n=2.5)
-    came = {"S": ("success", "none", True), "s": ("success", "none", False)}
+    came = {"S": ("success", "none", True), "s": ("success", "no_candidate", False)}
     came |= {"L": ("slipped", "dropped", False), "N": ("not_reached", "no_candidate", False)}
     rows = [
         {"object": name, **dict(zip(("outcome", "failure", "up_at_9s"), came[c], strict=True))}

@@ -34,7 +34,7 @@ from mjx_grasp.training.job import run_training
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
     *("--ppo.unroll", "4", "--ppo.iterations", "2", "--task.episode-s", "0.3"),
-    *("--task.observation.no-budget", "--start-from", "None"),
+    *("--task.observation.no-budget", "--start-from", "None", "--handoffs-kind", "ik"),
 )
 
 

@@ -7,6 +7,7 @@ import io
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
 # Of the words beside a point: below or beside the points of these, above those of policies.
 _LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (8, -3)}, (-5, 6)
+_TITLE = 56  # letters in a line above a panel
 _ROOM = 0.36, 6.0  # N and % that words of two points need between them
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
@@ -115,9 +117,9 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
         style(ax)
-        ax.set_ylim(0, 103)
+        ax.set_ylim(0, 109)  # words stand above the points
         ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
-        ax.set_title(title, loc="left", fontsize=10, color=GREY)
+        ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in dict.fromkeys(p.family for p in part):
             shown[family] = _front(ax, [p for p in part if p.family == family], *looks[family])
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
@@ -155,7 +157,7 @@ def success_within_budgets(panels: Mapping[str, Front]) -> bytes:
         ax.set_ylim(0, 103)
         ax.set_xlim(0, _BUDGETS[-1])
         ax.set_xlabel("budget: mean contact force per finger [N]", fontsize=9, color=GREY)
-        ax.set_title(title, loc="left", fontsize=10, color=GREY)
+        ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in front.families:
             values, (_, colour) = front.within(family, _BUDGETS), looks[family]
             (shown[family],) = ax.plot(_BUDGETS, values[0], color=colour, linewidth=1.8)

@@ -132,7 +132,7 @@ def settings_of(preset: str) -> TrainConfig:
             task=replace(FEELING, reward=replace(FEELING.reward, hard=-1.0)),
             noise=VARIED,
             objects=("rubiks_cube",),
-            # As the shipped policy's own; fewer are learnt by heart.
+            # Like those that the shipped policy was trained from.
             handoffs_kind="reached",
             handoffs_per_object=256,
             # From nothing, the steps that two cores make in minutes are too few.

@@ -6,7 +6,7 @@ is gone on with, unless there are uncommitted changes: an interrupted run loses 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -233,7 +233,7 @@ class Runner:
 
 
 def rows_of(
-    trials: Trials, at: dict[str, float], names: Sequence[str], episodes: int
+    trials: Trials, at: Mapping[str, Any], names: Sequence[str], episodes: int
 ) -> list[dict[str, Any]]:
     """One row per object, of trials in that order under one condition."""
     letters = outcome_letters(trials)

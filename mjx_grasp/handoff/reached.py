@@ -89,19 +89,22 @@ class ReachedGenerator:
     on the configuration's seed and its own name only.
     """
 
-    def __init__(self, robot: RobotSpec, config: HandoffConfig):
+    def __init__(
+        self, robot: RobotSpec, config: HandoffConfig, settings: ReachPreset | None = None
+    ):
         """Builds the start library and compiles nothing yet.
 
         Args:
             robot: Arm and hand.
             config: Settings; `per_object` is how many reached states are wanted.
+            settings: What reaches, with plans; by default that of `reach_settings`.
 
         Raises:
             InputError: The robot does not reach the object area, or has idle fingers that are to
                 stay at zero, but are bent at home.
         """
         self._robot, self._config = robot, config
-        settings = reach_settings(config)
+        settings = settings or reach_settings(config)
         assert settings.plan is not None
         moves = robot.without_idle_fingers() if config.fix_idle_fingers else robot
         self._body, self._columns = robot_body(robot), joint_columns(moves)

@@ -56,6 +56,8 @@ from mjx_grasp.tasks.assemble import build_scene_of
 
 SCHEMA = "mjx_grasp.failing_starts/1"
 GRAVITY = 9.81
+_FAR, _SKY = 5.0, 235
+"""Distance from which nothing is there [m], and how light that is drawn"""
 FEATURES = ("lift", "reach", "force", "edge", "score")
 
 
@@ -265,7 +267,11 @@ def _render(
     camera.azimuth = float(np.degrees(np.arctan2(spread[1], spread[0])))
     camera.lookat[:] = states.object_pos[n]
     renderer.update_scene(data, camera)
-    return renderer.render().copy()
+    picture = renderer.render().copy()
+    renderer.enable_depth_rendering()
+    picture[renderer.render() > _FAR] = _SKY
+    renderer.disable_depth_rendering()
+    return picture
 
 
 if __name__ == "__main__":

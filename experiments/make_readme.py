@@ -75,6 +75,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),
             "handoffs": closing_tables.shipped_handoffs(folder),
             "failing": stage_tables.failing_starts(folder / "failing_starts.json"),
+            "plan-weights": stage_tables.plan_weights(folder / "plan_weights.json"),
+            "failing-before": stage_tables.failing_starts(
+                folder / "starts" / "failing_before.json"
+            ),
             "throughput": closing_tables.throughput(throughput),
             "devices": speed_tables.devices(on_devices),
             "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json")), on_devices),

@@ -7,11 +7,12 @@ place.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
+from mjx_grasp.evaluation.results import OUTCOMES
 from mjx_grasp.objects.catalogue import groups
 from mjx_grasp.pipeline.phases import Failure
 from mjx_grasp.records.atomic import read_json
@@ -117,6 +118,11 @@ def failing_starts(path: Path) -> str:
     d = read(path)
     if d is None:
         return NOTHING
+    refused = {
+        name: text
+        for name, text in (("lift", "left without lift"), ("lift and reach", "and without reach"))
+        if any(part["left_by"][name]["states"] < part["states"] for part in d["parts"])
+    }
     rows = []
     for part in d["parts"]:
         left = part["left_by"]
@@ -125,22 +131,51 @@ def failing_starts(path: Path) -> str:
                 part["part"],
                 f"{part['failing']} of {part['states']}",
                 *(f"{part['auc'][name]:.2f}" for name in part["auc"]),
-                *(f"{left[k]['failing']} of {left[k]['states']}" for k in left),
+                *(f"{left[k]['failing']} of {left[k]['states']}" for k in refused),
             )
         )
     told = [{"score": "low score"}.get(name, name) for name in d["parts"][0]["auc"]]
-    header = ("states", "always fail", *told, "left without lift", "and without reach")
-    reasons: dict[str, int] = {}
-    for row in d["rows"]:
-        reasons[row["reason"]] = reasons.get(row["reason"], 0) + 1
-    counted = ", ".join(f"{name} {n}" for name, n in sorted(reasons.items(), key=lambda r: -r[1]))
+    header = ("states", "always fail", *told, *refused.values())
+    reasons, objects = (_counted(row[of] for row in d["rows"]) for of in ("reason", "object"))
     return (
         f"{markdown(Table('Failing starts', header, tuple(rows)))}\n\n"
-        f"Of the training states that always fail: {counted}. An arm cannot lift if the palm ends "
-        f"more than {1e3 * d['lift_error_m']:.0f} mm from where it should, a finger cannot reach "
-        f"if its pad stays more than {1e3 * d['reach_m']:.0f} mm from the contact; the least force "
-        f"is that at friction {d['friction']:g}."
+        f"Of the training states that always fail: {reasons}; {objects}. An arm cannot lift if the "
+        f"palm ends more than {1e3 * d['lift_error_m']:.0f} mm from where it should, a finger "
+        f"cannot reach if its pad stays more than {1e3 * d['reach_m']:.0f} mm from the contact; "
+        f"the least force is that at friction {d['friction']:g}."
     )
+
+
+def _counted(names: Iterable[str]) -> str:
+    """How often each name comes, the most frequent first."""
+    counts = Counter(name.replace("_", " ") for name in names)
+    return ", ".join(f"{name} {n}" for name, n in counts.most_common())
+
+
+def plan_weights(path: Path) -> str:
+    """What states of plans with other weights are worth."""
+    d = read(path)
+    if d is None:
+        return NOTHING
+    lines, named = [], d["variants"].values()
+    names = [row["controller"] for row in next(iter(named))["rows"]]
+    for name, variant in d["variants"].items():
+        factors = ", ".join(f"`{of}` × {by:g}" for of, by in variant["factors"].items())
+        cells = (_lifted_at(row) for row in variant["rows"])
+        lines.append((name, factors, str(variant["states"]), *cells))
+    header = ("plans", "settings", "states", *names)
+    trials, name = d["settings"]["episodes"], d["settings"]["object"].replace("_", " ")
+    return (
+        f"{markdown(Table('Plan weights', header, tuple(lines), names=2))}\n\n"
+        f"Success in % and mean force per finger in N of {trials} trials each, {name}."
+    )
+
+
+def _lifted_at(row: dict[str, Any]) -> str:
+    """Success, and the force over all trials that begin to lift."""
+    forces = [force for force in row["forces_n"] if force is not None]
+    lifted = row["outcomes"].count(OUTCOMES["successes"]) / len(row["outcomes"])
+    return f"{100 * lifted:.1f} at {sum(forces) / max(len(forces), 1):.2f}"
 
 
 def route(path: Path) -> str:

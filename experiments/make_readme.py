@@ -91,6 +91,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "choice-planned": policy_tables.choice(
                 folder / "choice" / "planned", folder / "training_runs.json"
             ),
+            "choice-points": policy_tables.points([folder / "choice" / "planned"]),
+            "choice-points-all": policy_tables.points(
+                [folder / "choice" / name for name in ("planned", "all")]
+            ),
             "choice-all": policy_tables.choice(
                 folder / "choice" / "all", folder / "training_runs.json"
             ),

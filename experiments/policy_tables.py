@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from choose_policy import points_table
 from collect_runs import run_rows
 from stage_tables import NOTHING, markdown
 
@@ -157,6 +158,17 @@ def choice(folder: Path, runs: Path) -> str:
         *(c.short() for c in conditions),
     )
     return markdown(Table("Choice", header, tuple(lines), names=2))
+
+
+def points(folders: Sequence[Path]) -> str:
+    """How policies rank by the rule by which one is chosen to be shipped.
+
+    Args:
+        folders: Comparisons from the same states, a file per policy in each.
+    """
+    if not all(any(folder.glob("*.json")) for folder in folders):
+        return NOTHING
+    return markdown(points_table(folders))
 
 
 def told(folder: Path) -> str:

@@ -30,7 +30,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import STEERED_CANDIDATES, STEERED_SCORE, steered_scores
+from mjx_grasp.pipeline.assemble import STEERED_SCORE, steered_candidates
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings
@@ -96,10 +96,9 @@ def choice_on_part(
     """
     if not anchor.size.any():
         return None
-    scaled = np.asarray(steered_scores(heatmap, jnp.asarray(score)))
-    best = np.argsort(-scaled, kind="stable")[:STEERED_CANDIDATES]
-    chosen = best[scaled[best] >= STEERED_SCORE]
-    contacts = np.concatenate([heatmap.thumb[chosen, None], heatmap.wrap[chosen]], axis=1)
+    among = steered_candidates(heatmap, jnp.asarray(score))
+    chosen = np.asarray(among.valid & (among.score >= STEERED_SCORE))
+    contacts = np.concatenate([among.thumb[chosen, None], among.wrap[chosen]], axis=1)
     outside = np.maximum(np.abs(contacts - anchor.point) - 0.5 * anchor.size, 0.0)
     return float(np.mean(np.linalg.norm(outside, axis=2).max(axis=1) <= ON_PART_M))
 

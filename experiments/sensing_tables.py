@@ -28,7 +28,7 @@ def sensed_forces(path: Path) -> str:
             "each condition, all ticks with more than "
             f"{settings['contact_n']:g} N on the finger (median / 95th percentile, N). *Out of "
             "reach* is the part of the error that exact torques of the same force at the pad would "
-            "leave: a direction in which the finger's three joints have no lever, damping, stops. "
+            "leave: a direction in which the finger's joints have no lever, damping, stops. "
             "*Free* is what is felt before anything is touched. The delay is from the solver's to "
             f"the estimate's crossing of {settings['crossing_n']:g} N, in the first contact that "
             f"lasts {settings['lasting_ticks']} ticks; *early* are those that the estimate had "

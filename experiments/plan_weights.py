@@ -165,8 +165,9 @@ def weighed(plan: PlanConfig, factors: dict[str, float]) -> PlanConfig:
         name: factor * getattr(plan, name) for name, factor in factors.items() if name != "starts"
     }
     if "starts" in factors:
-        count = round(factors["starts"] * plan.starts.count)
-        changes["starts"] = replace(plan.starts, count=count)
+        starts = plan.starts
+        more = {n: round(factors["starts"] * getattr(starts, n)) for n in ("count", "ranked")}
+        changes["starts"] = replace(starts, **more)
     return replace(plan, **changes)
 
 

@@ -38,6 +38,7 @@ def test_more_starts_are_as_many_times_more(script: Callable[[str], ModuleType])
     plan = PlanConfig()
     changed = script("plan_weights").weighed(plan, {"starts": 3.0})
     assert changed.starts.count == 3 * plan.starts.count
+    assert changed.starts.ranked == 3 * plan.starts.ranked
     assert _differing(plan, changed) == {"starts"}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Settings
 
 
@@ -69,3 +70,9 @@ class StartConfig(Settings):
     far off [-]"""
     ranked: Count = 96
     """entries nearest to the goals, of which the overlap is estimated [-]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.overlap_weight > 0 and self.count > self.ranked:
+            expected = f"at most ranked, {self.ranked}: the starts are some of those"
+            raise InputError(self.name_of("count"), self.count, expected)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.signed_distance import Sphere
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.config import StartConfig
@@ -133,3 +134,10 @@ def test_batched_is_looped_and_jit_is_eager(body, library, options, around):
         single = one(shifts[k], keys[k])
         np.testing.assert_array_equal(batched.option[k], single.option)
         np.testing.assert_array_equal(batched.q[k], single.q)
+
+
+def test_more_starts_than_are_ranked_are_refused() -> None:
+    assert StartConfig(count=12, overlap_weight=2.0, ranked=12).count == 12
+    assert StartConfig(count=13, ranked=12).count == 13  # nothing is ranked by its overlap
+    with pytest.raises(InputError, match=r"count.*13.*at most ranked, 12"):
+        StartConfig(count=13, overlap_weight=2.0, ranked=12)

@@ -23,12 +23,15 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
+from mjx_grasp.evaluation.judging import resampled, same_starts, success_within
+from mjx_grasp.evaluation.results import ResultRow, read_results
 from mjx_grasp.records.settings import CommandSettings, Several
 from mjx_grasp.records.table import Table
 
-WITHIN = (2.0, 3.0, 4.0, float("inf"))
+WITHIN = np.array([2.0, 3.0, 4.0, np.inf])
 """mean forces per finger within which success counts [N]"""
+Condition = tuple[float, float, float]
+"""offset [mm], angle [degrees], friction"""
 
 
 @dataclass(frozen=True)
@@ -51,40 +54,28 @@ def points(path: Path) -> float:
     rows = [row for row in read_results(path).rows if row.controller == "policy"]
     if not rows:
         raise FileError(path, "no row of a policy", "rows of one under several force budgets")
-    conditions = sorted({(row.offset_mm, row.angle_deg, row.friction) for row in rows})
-    return float(
-        np.mean([_of_condition([r for r in rows if _condition(r) == at]) for at in conditions])
-    )
+    settings: dict[Condition, dict[float | None, list[ResultRow]]] = {}
+    for row in rows:
+        at = row.offset_mm, row.angle_deg, row.friction
+        settings.setdefault(at, {}).setdefault(row.force_budget_n, []).append(row)
+    return float(np.mean([_of_condition(list(of.values())) for of in settings.values()]))
 
 
-def _condition(row: ResultRow) -> tuple[float, float, float]:
-    return row.offset_mm, row.angle_deg, row.friction
-
-
-def _of_condition(rows: Sequence[ResultRow]) -> float:
-    budgets = {row.force_budget_n for row in rows}
-    best = [
-        max(
-            np.mean([_share(row, most) for row in rows if row.force_budget_n == budget])
-            for budget in budgets
-        )
-        for most in WITHIN
-    ]
-    return 100 * float(np.mean(best))
-
-
-def _share(row: ResultRow, most: float) -> float:
-    """Of the trials, those that are lifted with at most that mean force."""
-    trials = zip(row.outcomes, row.forces_n, strict=True)
-    return float(np.mean([o == OUTCOMES["successes"] and (f or 0.0) <= most for o, f in trials]))
+def _of_condition(settings: Sequence[Sequence[ResultRow]]) -> float:
+    trials = same_starts(settings)
+    weights = resampled(trials, resamples=0)
+    return float(np.mean(success_within(trials, weights, range(len(settings)), WITHIN)))
 
 
 def ranked(folders: Sequence[Path]) -> list[tuple[str, list[float]]]:
     """Policies with their points in each comparison, the best first.
 
     Raises:
-        FileError: No policy is in all of them.
+        FileError: A folder is missing, or no policy is in all of them.
     """
+    for folder in folders:
+        if not folder.is_dir():
+            raise FileError(folder, "no folder", "one with a results file per policy")
     names = [{path.stem for path in folder.glob("*.json")} for folder in folders]
     common = sorted(set.intersection(*names))
     if not common:
@@ -93,19 +84,23 @@ def ranked(folders: Sequence[Path]) -> list[tuple[str, list[float]]]:
     return sorted(found, key=lambda of: -np.mean(of[1]))
 
 
-def points_table(folders: Sequence[Path]) -> Table:
-    """The ranking."""
-    lines = [
-        (name, *(f"{p:.1f}" for p in of), f"{np.mean(of):.1f}") for name, of in ranked(folders)
-    ]
-    return Table("Points", ("policy", *(f.name for f in folders), "mean"), tuple(lines))
+def points_table(folders: Sequence[Path], ranking: Sequence[tuple[str, list[float]]]) -> Table:
+    """The ranking, with the mean where there are several comparisons."""
+    header = ("policy", *(folder.name for folder in folders))
+    lines = [(name, *(f"{p:.1f}" for p in of)) for name, of in ranking]
+    if len(folders) > 1:
+        header += ("mean",)
+        lines = [
+            (*line, f"{np.mean(of):.1f}") for line, (_, of) in zip(lines, ranking, strict=True)
+        ]
+    return Table("Points", header, tuple(lines))
 
 
 def main(config: ChooseConfig) -> None:
     """Prints the ranking, and the best on the last line."""
-    console = Console()
-    console.print(points_table(config.folders))
-    console.print(ranked(config.folders)[0][0])
+    console, ranking = Console(), ranked(config.folders)
+    console.print(points_table(config.folders, ranking))
+    console.print(ranking[0][0])
 
 
 if __name__ == "__main__":

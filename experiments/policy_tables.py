@@ -7,17 +7,18 @@ how that one was trained.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from choose_policy import points_table
+from choose_policy import points_table, ranked
 from collect_runs import run_rows
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
+from mjx_grasp.evaluation.judging import resampled, same_starts, success_within
+from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
@@ -168,7 +169,7 @@ def points(folders: Sequence[Path]) -> str:
     """
     if not all(any(folder.glob("*.json")) for folder in folders):
         return NOTHING
-    return markdown(points_table(folders))
+    return markdown(points_table(folders, ranked(folders)))
 
 
 def told(folder: Path) -> str:
@@ -211,15 +212,9 @@ def _budget(column: Column) -> float:
 
 def _within(column: Column, force: float) -> float:
     """Share of trials that are lifted with at most a mean force per finger, over objects [%]."""
-
-    def trials(row: ResultRow) -> Iterator[tuple[str, float]]:
-        return zip(row.outcomes, row.forces_n, strict=True)
-
-    lifted = [
-        np.mean([o == OUTCOMES["successes"] and f <= force for o, f in trials(row)])
-        for row in column.rows.values()
-    ]
-    return 100 * float(np.mean(lifted))
+    trials = same_starts([list(column.rows.values())])
+    weights = resampled(trials, resamples=0)
+    return float(success_within(trials, weights, [0], np.array([force]))[0, 0])
 
 
 def newcomers(folder: Path) -> str:

@@ -32,6 +32,7 @@ from mjx_grasp.evaluation.trials import (
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.records.atomic import check_writable, read_json, write_json
@@ -121,23 +122,34 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
 
-    act = policy.controller()
-
-    def gripping(grip: GripConfig) -> Contestant:
-        return Contestant(replace(TaskConfig(), grip=grip), None, grip.force)
-
-    trained = policy_task(policy)
-    contestants = (
-        {f"policy, budget {b:g} N": Contestant(trained, act, b) for b in config.budgets}
-        | {f"squeeze {f:g} N": gripping(GripConfig(force=f)) for f in config.squeezes}
-        | {"grip": gripping(REACTING)}
-    )
+    contestants = contestants_of(policy, config.budgets, config.squeezes)
+    contestants |= {"grip": _gripping(REACTING)}
     if config.known is not None and not record["controllers"]:
         alone = [name for name, who in contestants.items() if who.act is None]
         take_known(record, config.known, alone, what)
     objects = load_objects(config.objects, config.objects_dir)
     states = states_of(stored, names, "evaluation")
     return Comparison(record, contestants, names, objects, robot, states)
+
+
+def contestants_of(
+    policy: Policy, budgets: Sequence[float], squeezes: Sequence[float]
+) -> dict[str, Contestant]:
+    """A policy under budgets and squeezes of forces, by what they are called.
+
+    Args:
+        policy: The policy.
+        budgets: Of force [N].
+        squeezes: Forces [N].
+    """
+    act, trained = policy.controller(), policy_task(policy)
+    return {f"policy, budget {b:g} N": Contestant(trained, act, b) for b in budgets} | {
+        f"squeeze {f:g} N": _gripping(GripConfig(force=f)) for f in squeezes
+    }
+
+
+def _gripping(grip: GripConfig) -> Contestant:
+    return Contestant(replace(TaskConfig(), grip=grip), None, grip.force)
 
 
 def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: str) -> None:
@@ -190,7 +202,8 @@ class Runner:
 
     Args:
         found: The comparison.
-        config: How many trials, and the seed.
+        episodes: Trials of each object.
+        seed: Of their starts.
         physics: Of the scene.
         angle_rad: How far any of the trials turns the object: tasks that turn none differ.
     """
@@ -198,18 +211,19 @@ class Runner:
     def __init__(
         self,
         found: Comparison,
-        config: ComparedConfig,
+        episodes: int,
+        seed: int,
         physics: SceneConfig | None = None,
         angle_rad: float = 0.0,
     ):
         scene = build_scene(found.objects, found.robot, physics or SceneConfig())
         self._world = build_world(scene, found.states, TaskConfig().control_dt)
-        self._found, self._config = found, config
+        self._found, self._episodes, self._seed = found, episodes, seed
         self._widest = StartNoise(angle_rad=angle_rad)
-        self._worlds = config.episodes * len(found.names)
+        self._worlds = episodes * len(found.names)
         self._made: dict[str, tuple[Task, Controller]] = {}
 
-    def rows(self, name: str, at: dict[str, float], noise: StartNoise) -> list[dict[str, Any]]:
+    def rows(self, name: str, at: Mapping[str, Any], noise: StartNoise) -> list[dict[str, Any]]:
         """Trials of a controller under a condition, a row per object.
 
         Args:
@@ -217,19 +231,18 @@ class Runner:
             at: What the rows say of the condition.
             noise: What its starts draw; from the seed all have the same draws.
         """
-        who, names, config = self._found.contestants[name], self._found.names, self._config
+        who, names, episodes = self._found.contestants[name], self._found.names, self._episodes
         if name not in self._made:
             task = self._world.task("mujoco", self._worlds, who.task, self._widest, False)
             self._made[name] = task, who.act or zero_controller(task)
         noise, starts = replace(noise, budget_n=(who.force, who.force)), self._world.starts
         draws = [
-            paired_draws(starts, self._world.scene.object_index(of), config.episodes, noise,
-                         config.seed)
+            paired_draws(starts, self._world.scene.object_index(of), episodes, noise, self._seed)
             for of in names
-        ]  # fmt: skip
+        ]
         joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
         trials = run_trials(*self._made[name], joined, self._worlds)
-        return rows_of(trials, at, names, config.episodes)
+        return rows_of(trials, at, names, episodes)
 
 
 def rows_of(

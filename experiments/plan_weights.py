@@ -3,8 +3,8 @@
 A plan is the cheapest of many postures; what it costs that a finger stays short of its contact,
 that a contact lies near an edge, or that contacts ask for much force, are settings. Each variant
 makes states of its own, from the same poses, and the shipped policy and a squeeze try them all.
-The object is one of the training's. A variant that is in the file already, of the same settings
-and revision of the code, is left alone.
+The object is one of the training's. A run that was killed goes on with the variants that it had not
+finished.
 
   python experiments/plan_weights.py --objects-dir SCANS
 """
@@ -17,27 +17,23 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from compared import rows_of
+from compared import Comparison, Runner, contestants_of
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
-from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.spread import Spread, unspread
-from mjx_grasp.evaluation.trials import Controller, paired_draws, run_trials, zero_controller
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.reached import ReachedGenerator, reach_settings
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import load_controller
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
-from mjx_grasp.sim.scene import SceneConfig, build_scene
-from mjx_grasp.tasks.assemble import TaskConfig, build_world
 from mjx_grasp.tasks.config import StartNoise
 
 SCHEMA = "mjx_grasp.plan_weights/1"
@@ -114,24 +110,12 @@ class Tried:
         """
         config, robot, obj = self._config, self._robot, self._object
         states = states_with(factors, obj, robot, config)
-        world = build_world(
-            build_scene([obj], robot, SceneConfig()), states, TaskConfig().control_dt
-        )
         policy = load_controller(asset_path("policy.npz"), robot)
-        squeeze = replace(TaskConfig(), grip=GripConfig(force=config.squeeze))
-        contestants: list[tuple[str, TaskConfig, Controller | None, float]] = [
-            (f"policy, budget {b:g} N", policy_task(policy), policy.controller(), b)
-            for b in config.budgets
-        ]
-        contestants += [(f"squeeze {config.squeeze:g} N", squeeze, None, config.squeeze)]
-        rows = []
-        for name, settings, act, force in contestants:
-            task = world.task("mujoco", config.episodes, settings, StartNoise(), False)
-            noise = StartNoise(budget_n=(force, force))
-            draw = paired_draws(world.starts, 0, config.episodes, noise, config.seed)
-            trials = run_trials(task, act or zero_controller(task), draw, config.episodes)
-            rows += rows_of(trials, {"controller": name}, [obj.name], config.episodes)
-        return {"states": len(states), "rows": rows}
+        contestants = contestants_of(policy, config.budgets, [config.squeeze])
+        found = Comparison({}, contestants, [obj.name], [obj], robot, states)
+        runner = Runner(found, config.episodes, config.seed)
+        rows = [runner.rows(name, {"controller": name}, StartNoise()) for name in contestants]
+        return {"states": len(states), "rows": [row for of in rows for row in of]}
 
 
 def states_with(

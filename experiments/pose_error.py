@@ -55,7 +55,7 @@ def conditions(config: PoseErrorConfig) -> list[tuple[dict[str, float], StartNoi
 def _runner(config: PoseErrorConfig) -> Runner:
     """What each of several processes needs."""
     widest = max(noise.angle_rad for _, noise in conditions(config))
-    return Runner(compared(config, SCHEMA, _WHAT), config, angle_rad=widest)
+    return Runner(compared(config, SCHEMA, _WHAT), config.episodes, config.seed, angle_rad=widest)
 
 
 def _rows(runner: Runner, cell: Cell) -> list[dict[str, Any]]:

@@ -73,7 +73,9 @@ class Runners:
     def __init__(self, config: SensitivityConfig):
         found = compared(config, SCHEMA, _WHAT)
         self._of = functools.cache(
-            lambda limit: Runner(found, config, SceneConfig(finger_torque=limit))
+            lambda limit: Runner(
+                found, config.episodes, config.seed, SceneConfig(finger_torque=limit)
+            )
         )
 
     def rows(self, cell: Cell) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import ObjectReport
@@ -101,11 +102,12 @@ class ReachedGenerator:
 
         Raises:
             InputError: The robot does not reach the object area, or has idle fingers that are to
-                stay at zero, but are bent at home.
+                stay at zero, but are bent at home; or the settings have no plans.
         """
         self._robot, self._config = robot, config
         settings = settings or reach_settings(config)
-        assert settings.plan is not None
+        if settings.plan is None:
+            raise InputError("settings", "a preset without plans", "one that plans")
         moves = robot.without_idle_fingers() if config.fix_idle_fingers else robot
         self._body, self._columns = robot_body(robot), joint_columns(moves)
         self._reacher = Reacher(robot_body(moves), settings.reach, settings.selection)

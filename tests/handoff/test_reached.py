@@ -55,6 +55,11 @@ def generator(config, robot):
     return ReachedGenerator(robot, config)
 
 
+def test_a_preset_that_does_not_plan_is_refused(config, robot):
+    with pytest.raises(InputError, match="a preset without plans"):
+        ReachedGenerator(robot, config, replace(reach_settings(config), plan=None))
+
+
 @pytest.fixture(scope="module")
 def generated(generator, brick):
     return generator.generate(brick)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as RichTable
 
 
@@ -21,8 +22,24 @@ class Table:
     names: int = 1
     """How many of the first columns are names; the others are numbers."""
 
-    def __rich__(self) -> RichTable:
-        """The table for a terminal."""
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table for a terminal; turned where only so its words stay whole."""
+        turned = self.turned() if self.names == 1 else self
+        wide = self._width() > options.max_width and turned._width() < self._width()
+        # What the corner says is of the column below it, which is now the header.
+        yield (replace(turned, header=("", *turned.header[1:])) if wide else self)._rich()
+
+    def turned(self) -> Table:
+        """Rows as columns and columns as rows, of a table with one column of names."""
+        header, *rows = zip(self.header, *self.rows, strict=True)
+        return Table(self.title, header, tuple(rows))
+
+    def _width(self) -> int:
+        """Columns of a terminal in which no word is taken apart."""
+        words = (" ".join(column).split() for column in zip(self.header, *self.rows, strict=True))
+        return 1 + sum(3 + max(map(len, of), default=0) for of in words)
+
+    def _rich(self) -> RichTable:
         table = RichTable(title=self.title, title_justify="left")
         for i, name in enumerate(self.header):
             # Nothing is cut off where it is narrow, and names are not taken apart.

@@ -38,7 +38,7 @@ _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
 # Of the words beside a point: below or beside the points of these, above those of policies.
 _LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (8, -3)}, (-5, 6)
-_TITLE = 56  # letters in a line above a panel
+_TITLE = 46  # letters in a line above a panel
 _ROOM = 0.36, 6.0  # N and % that words of two points need between them
 _LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N

@@ -2,7 +2,9 @@
 
 For each number of worlds it times, on the same device in the same process:
 
-  warp       MuJoCo Warp alone, the control tick's physics steps in one CUDA graph, no JAX
+  warp       MuJoCo Warp alone, the control tick's physics steps in one CUDA graph, no JAX;
+             `warp_own_tolerance` with the solver's tolerance that it sets for itself, 1e-6, at
+             which it stops earlier than in any of the others
   mjx        the same steps through `mjx.step` inside a jitted scan
   task       the closing environment (commands, readings, rewards, stages, resets), given actions
   rollout    the same with the policy and the record of transitions
@@ -102,9 +104,16 @@ def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
 
 
 def plain_warp(
-    physics: MjxPhysics, ticks: Recorded, repeats: int
+    physics: MjxPhysics, ticks: Recorded, repeats: int, tolerance: float | None = None
 ) -> tuple[float, dict[str, float]]:
     """MuJoCo Warp alone, replaying one CUDA graph per tick; putting the states there is not timed.
+
+    Args:
+        physics: The same steps in MJX.
+        ticks: What they are given.
+        repeats: Runs over all ticks.
+        tolerance: At which the solver stops. Warp would raise the scene's to 1e-6, where MJX
+            leaves it: None keeps what Warp sets.
 
     Returns:
         Seconds per control tick, and the milliseconds of a physics step's parts (GPU only).
@@ -115,6 +124,8 @@ def plain_warp(
     worlds, model, on_gpu = physics.num_worlds, physics.scene.model, wp.get_device().is_cuda
     m = mjw.put_model(model)
     m.opt.warn_overflow = False
+    if tolerance is not None:
+        m.opt.tolerance.fill_(tolerance)
     d = mjw.make_data(model, nworld=worlds, **physics.buffers)
 
     states, params = ticks
@@ -326,7 +337,9 @@ def _layers(
         jitted, compile_s[name] = compiled(function, *arguments)
         run = functools.partial(jitted, *arguments)
         seconds[name] = median_seconds(run, config.repeats) / unroll
-    seconds["warp"], trace_ms = plain_warp(physics, ticks, config.repeats)
+    scenes = physics.scene.model.opt.tolerance
+    seconds["warp"], trace_ms = plain_warp(physics, ticks, config.repeats, scenes)
+    seconds["warp_own_tolerance"], _ = plain_warp(physics, ticks, config.repeats)
     return {
         "ratio_ppo_to_warp": seconds["warp"] / seconds["ppo"],
         "warp_step_trace_ms": trace_ms,

@@ -85,22 +85,31 @@ Recorded = tuple[dict[str, jax.Array], WorldParams]
 """What physics is given at each tick, [tick, world, …]: state with command, and parameters."""
 
 
-def median_seconds(run: Callable[[], Any], repeats: int) -> float:
-    """Median wall time of a run that waits for its result."""
+def _timed(
+    function: Callable, data: Any, *given: Any, repeats: int
+) -> tuple[Any, Any, float, float]:
+    """Times a function that takes physics' data and hands them on, as a training does.
+
+    Kept apart from what comes out they would be copied, a gigabyte or two, and Warp's graphs, which
+    know them by where they lie, captured anew.
+
+    Returns:
+        Data and what else the function returned; seconds until then, most of them of compiling;
+        the median of the runs after that [s].
+    """
+    jitted = jax.jit(function, donate_argnums=0)
+
+    def run(data: Any) -> tuple[Any, Any, float]:
+        begun = time.perf_counter()
+        data, found = jax.block_until_ready(jitted(data, *given))
+        return data, found, time.perf_counter() - begun
+
+    data, found, compile_s = run(data)
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
-
-
-def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
-    """A jitted function, compiled and run once, and how long that took."""
-    start = time.perf_counter()
-    jitted = jax.jit(function)
-    jax.block_until_ready(jitted(*args))
-    return jitted, time.perf_counter() - start
+        data, found, seconds = run(data)
+        times.append(seconds)
+    return data, found, compile_s, statistics.median(times)
 
 
 def plain_warp(
@@ -293,20 +302,28 @@ def _layers(
     policy = networks.make_inference_fn(nets)(
         (state.normalizer, state.params.policy, state.params.value)
     )
+    start = state.env
 
-    def rollout(s):
-        final, data = acting.generate_unroll(
-            env, s, policy, jax.random.PRNGKey(0), unroll, extra_fields=EPISODE_FIELDS
+    def begun(data):
+        before = start.pipeline_state
+        data = data.replace(**physics.pack(before.physics))
+        return start.replace(pipeline_state=before._replace(physics=data))
+
+    def rollout(data):
+        key = jax.random.PRNGKey(0)
+        final, seen = acting.generate_unroll(
+            env, begun(data), policy, key, unroll, extra_fields=EPISODE_FIELDS
         )
-        return data.action, final.obs, jax.tree.map(jnp.sum, data)
+        found = seen.action, final.obs, jax.tree.map(jnp.sum, seen)
+        return final.pipeline_state.physics, found
 
-    def task(s, actions):
+    def task(data, actions):
         def tick(s, action):
             s = env.step(s, action)
             return s, jnp.sum(s.reward)
 
-        final, reward = jax.lax.scan(tick, s, actions)
-        return final.obs, reward
+        final, reward = jax.lax.scan(tick, begun(data), actions)
+        return final.pipeline_state.physics, (final.obs, reward)
 
     def record(s, actions):
         def tick(s, action):
@@ -323,20 +340,16 @@ def _layers(
             data, measured, _ = physics.step(data.replace(**given), params, given["ctrl"])
             return data, measured.q
 
-        final, q = jax.lax.scan(tick, data, ticks)
-        return final.qpos, q
+        return jax.lax.scan(tick, data, ticks)
 
-    start = state.env
-    actions = jax.jit(rollout)(start)[0]
+    data = jax.tree.map(jnp.copy, start.pipeline_state.physics)
+    timed = functools.partial(_timed, repeats=config.repeats)
+    data, (actions, *_), compile_s["rollout"], rollout_s = timed(rollout, data)
+    data, _, compile_s["task"], task_s = timed(task, data, actions)
     ticks: Recorded = jax.jit(record)(start, actions)
-    for name, function, arguments in (
-        ("rollout", rollout, (start,)),
-        ("task", task, (start, actions)),
-        ("mjx", mjx, (start.pipeline_state.physics, ticks)),
-    ):
-        jitted, compile_s[name] = compiled(function, *arguments)
-        run = functools.partial(jitted, *arguments)
-        seconds[name] = median_seconds(run, config.repeats) / unroll
+    _, _, compile_s["mjx"], mjx_s = timed(mjx, data, ticks)
+    for name, whole in (("rollout", rollout_s), ("task", task_s), ("mjx", mjx_s)):
+        seconds[name] = whole / unroll
     scenes = physics.scene.model.opt.tolerance
     seconds["warp"], trace_ms = plain_warp(physics, ticks, config.repeats, scenes)
     seconds["warp_own_tolerance"], _ = plain_warp(physics, ticks, config.repeats)

@@ -105,6 +105,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "end-to-end": end_to_end_tables.success_from_home(folder),
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),
             "sensitivity": sensitivity_tables.sensitivity(folder / "sensitivity.json"),
+            "drawn-stiffness": sensitivity_tables.drawn_stiffness(
+                folder / "sensitivity.json", folder / "sensitivity_stiff.json"
+            ),
             "stability": paper_tables.stability(folder / "lift_stability.json"),
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),
             "oracle": stage_tables.heatmap_oracle(folder / "heatmap_oracle.json"),

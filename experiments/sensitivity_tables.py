@@ -52,3 +52,26 @@ def sensitivity(path: Path) -> str:
             mark = " (nominal)" if x == content["nominal"][factor] else ""
             lines.append((called, shown.format(x) + mark, *texts))
     return markdown(Table("Sensitivity", ("what", "value", *found), tuple(lines), names=2))
+
+
+def drawn_stiffness(path: Path, drawn: Path) -> str:
+    """Over the finger stiffness: the policy, one whose training drew it, and the grip.
+
+    Args:
+        path: The table's file.
+        drawn: The other policy's, of the same trials.
+    """
+    usual, other = read(path), read(drawn)
+    if usual is None or other is None:
+        return NOTHING
+    columns = {
+        **{f"{name}, as shipped": of for name, of in curves(usual).items() if "policy" in name},
+        **{f"{name}, drawn": of for name, of in curves(other).items() if "policy" in name},
+        "grip": curves(usual)["grip"],
+    }
+    called, shown = FACTORS["stiffness"]
+    lines = tuple(
+        (shown.format(x), *(cell_text(of["stiffness"][x]) for of in columns.values()))
+        for x in columns["grip"]["stiffness"]
+    )
+    return markdown(Table("Drawn stiffness", (called, *columns), lines))

@@ -51,7 +51,7 @@ def summed(rows: list[dict[str, Any]], by: tuple[str, ...] = ("offset_mm", "angl
         weights = resampled(trials)
         success = mean_success(trials, weights)[:, 0]
         low, high = np.percentile(success[1:], (2.5, 97.5))
-        force = float(mean_force(trials, weights)[0, 0])
+        force = float(mean_force(trials, weights[:1])[0, 0])
         found[at] = {"success": success[0], "low": low, "high": high, "force": force}
     return found
 

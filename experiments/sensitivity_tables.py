@@ -64,10 +64,11 @@ def drawn_stiffness(path: Path, drawn: Path) -> str:
     usual, other = read(path), read(drawn)
     if usual is None or other is None:
         return NOTHING
+    shipped, trained = curves(usual), curves(other)
     columns = {
-        **{f"{name}, as shipped": of for name, of in curves(usual).items() if "policy" in name},
-        **{f"{name}, drawn": of for name, of in curves(other).items() if "policy" in name},
-        "grip": curves(usual)["grip"],
+        **{f"{name}, as shipped": of for name, of in shipped.items() if "policy" in name},
+        **{f"{name}, drawn": of for name, of in trained.items() if "policy" in name},
+        "grip": shipped["grip"],
     }
     called, shown = FACTORS["stiffness"]
     lines = tuple(

@@ -7,6 +7,7 @@ from one start state often end alike: what is drawn anew for an interval is the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -80,17 +81,29 @@ def resampled(trials: SameStarts, seed: int = 0, resamples: int = RESAMPLES) -> 
         trials: Whose starts.
         seed: Of the draws.
         resamples: How many.
+
+    Returns:
+        Not to be written to: whoever asks for the same gets the same.
     """
+    objects, starts = (ids.astype(np.int64).tobytes() for ids in (trials.object, trials.start))
+    return _resampled(objects, starts, seed, resamples)
+
+
+@lru_cache(maxsize=4)
+def _resampled(objects: bytes, starts: bytes, seed: int, resamples: int) -> Weights:
+    """As `resampled`, of the bytes of its arrays: most tables are of the same starts many times."""
+    of, start = np.frombuffer(objects, np.int64), np.frombuffer(starts, np.int64)
     rng = np.random.default_rng(seed)
-    weights = np.empty((resamples + 1, len(trials.object)))
-    objects = np.unique(trials.object)
-    for k in objects:
-        members = np.flatnonzero(trials.object == k)
-        states, state = np.unique(trials.start[members], return_inverse=True)
+    weights = np.empty((resamples + 1, len(of)))
+    kinds = np.unique(of)
+    for k in kinds:
+        members = np.flatnonzero(of == k)
+        states, state = np.unique(start[members], return_inverse=True)
         even = np.full(len(states), 1.0 / len(states))
         drawn = np.vstack([np.ones(len(states)), rng.multinomial(len(states), even, resamples)])
         part = drawn[:, state]
-        weights[:, members] = part / part.sum(axis=1, keepdims=True) / len(objects)
+        weights[:, members] = part / part.sum(axis=1, keepdims=True) / len(kinds)
+    weights.setflags(write=False)
     return weights
 
 

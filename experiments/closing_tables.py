@@ -241,12 +241,9 @@ def throughput(paths: Sequence[Path]) -> str:
     if not paths:
         return NOTHING
     files = [read_results(p, ThroughputRow) for p in paths]
-    parts = [markdown(throughput_table(files))]
-    for file in files:
-        apart = [d for d in file.extra.get("details", ()) if "ratio_ppo_to_warp" in d]
-        if apart:
-            parts += [LAYERS, markdown(_layers(apart))]
-    return "\n\n".join(parts)
+    layers = _layers(files)
+    parts = [LAYERS, markdown(layers)] if layers.rows else []
+    return "\n\n".join([markdown(throughput_table(files)), *parts])
 
 
 def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
@@ -280,17 +277,21 @@ def _loop_name(row: ThroughputRow) -> str:
     return f"{loop}, {_ENGINES[row.engine]}"
 
 
-def _layers(details: Sequence[dict[str, Any]]) -> Table:
+def _layers(files: Sequence[Results[ThroughputRow]]) -> Table:
     """Milliseconds per control tick of each loop, and of a physics step's parts."""
     rows = []
-    for d in details:
-        tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
-        loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
-        parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
-        times = (f"{ms:.2f}" for ms in (*loops, *parts))
-        rows.append((f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
-    header = ("worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO", *_STEP_PARTS)
-    return Table("Layers", (*header, "PPO / Warp"), tuple(rows))
+    for file in files:
+        for d in file.extra.get("details", ()):
+            if "ratio_ppo_to_warp" not in d:
+                continue
+            tick, step = d["ms_per_control_tick"], d["warp_step_trace_ms"]
+            loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
+            parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
+            times = (f"{ms:.2f}" for ms in (*loops, *parts))
+            device = str(file.provenance["device"])
+            rows.append((device, f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
+    header = ("device", "worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO")
+    return Table("Layers", (*header, *_STEP_PARTS, "PPO / Warp"), tuple(rows), names=2)
 
 
 def _beginning(run: dict[str, Any]) -> str:

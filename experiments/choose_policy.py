@@ -30,8 +30,6 @@ from mjx_grasp.records.table import Table
 
 WITHIN = np.array([2.0, 3.0, 4.0, np.inf])
 """mean forces per finger within which success counts [N]"""
-Condition = tuple[float, float, float]
-"""offset [mm], angle [degrees], friction"""
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,9 @@ def points(path: Path) -> float:
     rows = [row for row in read_results(path).rows if row.controller == "policy"]
     if not rows:
         raise FileError(path, "no row of a policy", "rows of one under several force budgets")
-    settings: dict[Condition, dict[float | None, list[ResultRow]]] = {}
+    settings: dict[tuple, dict[float | None, list[ResultRow]]] = {}
     for row in rows:
-        at = row.offset_mm, row.angle_deg, row.friction
+        at = (row.offset_mm, row.angle_deg, row.friction, row.mass_scale, row.robot_errors)
         settings.setdefault(at, {}).setdefault(row.force_budget_n, []).append(row)
     return float(np.mean([_of_condition(list(of.values())) for of in settings.values()]))
 

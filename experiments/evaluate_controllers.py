@@ -62,11 +62,13 @@ CONDITIONS = {
     "light": dict(mass_scale=0.5),
     "heavy": dict(mass_scale=2.0),
     "hard": dict(offset_mm=10.0, friction=0.5),
+    "soft": dict(stiffness=(0.5, 0.5)),
+    "stiff": dict(stiffness=(2.0, 2.0)),
 }
 """By what each differs from ±5 mm at friction 0.8."""
 Condition = Literal[
     "nominal", "offset10", "offset20", "friction04", "friction05", "friction11",
-    "light", "heavy", "hard",
+    "light", "heavy", "hard", "soft", "stiff",
 ]  # fmt: skip
 NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
@@ -87,7 +89,8 @@ class ComparisonConfig(Spread):
     conditions: tuple[Condition, ...] = ("nominal",)
     """of nominal (object offset ±5 mm, friction 0.8) and what differs from it: offset10 (±10 mm and
     5°), offset20 (±20 mm and 10°), friction04, friction05, friction11, light (half the mass), heavy
-    (twice), hard (±10 mm, friction 0.5)"""
+    (twice), hard (±10 mm, friction 0.5), soft (half the position gains of the fingers), stiff
+    (twice)"""
     noisy_torque: bool = False
     """each of them with torque sensors of a noise of 0.02 N m, in steps of 0.01, and a model of
     joint friction that is off by up to three tenths"""
@@ -137,19 +140,26 @@ def asked_controllers(
 
 def asked_of(config: ComparisonConfig, knows_budget: bool) -> list[EvaluateConfig]:
     """Every controller under every condition, in the order of the file."""
-    bases = [
-        EvaluateConfig(
-            out=config.out,
-            engine=config.engine,
-            episodes=config.episodes,
-            worlds=config.worlds,
-            seed=config.seed,
-            robot_errors=NOISY_TORQUE if config.noisy_torque else RobotErrors(),
-            **CONDITIONS[name],
-        )
+    return [
+        each
         for name in config.conditions
+        for each in asked_controllers(under(name, config), config, knows_budget)
     ]
-    return [each for base in bases for each in asked_controllers(base, config, knows_budget)]
+
+
+def under(condition: Condition, config: ComparisonConfig) -> EvaluateConfig:
+    """An evaluation under one of the conditions."""
+    changes: dict[str, Any] = dict(CONDITIONS[condition])
+    errors = NOISY_TORQUE if config.noisy_torque else RobotErrors()
+    return EvaluateConfig(
+        out=config.out,
+        engine=config.engine,
+        episodes=config.episodes,
+        worlds=config.worlds,
+        seed=config.seed,
+        robot_errors=replace(errors, stiffness=changes.pop("stiffness", errors.stiffness)),
+        **changes,
+    )
 
 
 class Known(NamedTuple):

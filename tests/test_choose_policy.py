@@ -68,6 +68,20 @@ def test_points_are_those_of_a_count_trial_by_trial(rule: Any) -> None:
     assert rule.points(path) == pytest.approx(100 * np.mean(list(best.values())))
 
 
+def test_what_differs_in_the_robot_or_the_mass_alone_is_a_condition_too(
+    rule: Any, tmp_path: Path
+) -> None:
+    light, heavy = (
+        json.loads(_made(tmp_path / f"{force}.json", "S", force).read_text())
+        for force in (1.0, 3.5)
+    )
+    for row in heavy["rows"]:
+        row["robot_errors"] = row["robot_errors"] | {"stiffness": [0.5, 0.5]}
+    light["rows"] += heavy["rows"]
+    (tmp_path / "both.json").write_text(json.dumps(light))
+    assert rule.points(tmp_path / "both.json") == pytest.approx((100.0 + 50.0) / 2)
+
+
 def test_a_gentler_policy_is_ranked_higher_and_the_last_line_names_it(tmp_path: Path) -> None:
     _made(tmp_path / "hard.json", "S", 3.5)
     _made(tmp_path / "gentle.json", "S", 1.5)

@@ -142,6 +142,16 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
     assert sorted(tmp_path.iterdir()) == [first.out, second.out]
 
 
+@pytest.mark.parametrize("noisy", [False, True])
+def test_softer_and_stiffer_fingers_keep_the_noise_of_their_sensors(script, tmp_path, noisy):
+    config = script.ComparisonConfig(out=tmp_path / "soft.json", noisy_torque=noisy)
+    usual = script.under("nominal", config)
+    assert (usual.robot_errors == script.NOISY_TORQUE) is noisy
+    for name, factor in (("soft", 0.5), ("stiff", 2.0)):
+        errors = replace(usual.robot_errors, stiffness=(factor, factor))
+        assert script.under(name, config) == replace(usual, robot_errors=errors)
+
+
 def test_the_known_file_is_not_written_over(script, first):
     before = first.out.read_text()
     with pytest.raises(InputError, match=r"--known.*another file"):

@@ -30,7 +30,7 @@ from mjx_grasp.evaluation.trials import (
     zero_controller,
 )
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
-from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
+from mjx_grasp.handoff.states import shipped_handoffs, with_states
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
@@ -118,7 +118,8 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
         before = read_json(config.out, what)
         if goes_on(before, identity, made["git"]):
             record = before
-    names, _ = eligible([asked.name for asked in find_objects(config.objects)], stored)
+    asked = [each.name for each in find_objects(config.objects)]
+    names, _, states = with_states(asked, stored, "evaluation")
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
 
@@ -128,7 +129,6 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
         alone = [name for name, who in contestants.items() if who.act is None]
         take_known(record, config.known, alone, what)
     objects = load_objects(config.objects, config.objects_dir)
-    states = states_of(stored, names, "evaluation")
     return Comparison(record, contestants, names, objects, robot, states)
 
 

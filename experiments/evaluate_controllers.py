@@ -35,7 +35,7 @@ from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
-from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
+from mjx_grasp.handoff.states import shipped_handoffs, with_states
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -254,10 +254,9 @@ def _load(config: ComparisonConfig) -> _Evaluator:
     robot = load_robot()
     policy, stored = load_controller(file, robot), load_handoffs(handoffs, robot=robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
-    names, without = eligible(scene.object_names, stored)
+    names, without, states = with_states(scene.object_names, stored, config.states)
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
-    states = states_of(stored, names, config.states)
     world = build_world(scene, states, TaskConfig().control_dt)
     return _Evaluator(world, names, without, policy, states.reached)
 

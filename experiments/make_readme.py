@@ -92,6 +92,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
                 folder / "choice" / "planned", folder / "training_runs.json"
             ),
             "choice-points": policy_tables.points([folder / "choice" / "planned"]),
+            "choice-points-robust": policy_tables.points(
+                [folder / "choice" / name for name in ("planned", "robust")]
+            ),
             "choice-points-all": policy_tables.points(
                 [folder / "choice" / name for name in ("planned", "all")]
             ),

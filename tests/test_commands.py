@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import re
 import subprocess
@@ -22,8 +23,9 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.run import LoopConfig
-from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.tasks.assemble import World
+from mjx_grasp.sim.scene import SceneConfig, build_scene
+from mjx_grasp.tasks.assemble import World, build_scene_of
+from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training import job
 from mjx_grasp.training.after import GRIP_FRICTIONS, SQUEEZE_FORCES_N
@@ -120,6 +122,63 @@ def test_a_run_goes_on_with_the_policy_it_began_with(scene, tmp_path, monkeypatc
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
     assert "first.npz: found a changed file" in error and str(run) in error
+
+
+def test_a_run_says_by_which_versions_it_was_resumed(scene, tmp_path, monkeypatch):
+    states, run = asset_path("handoffs_standins.npz"), tmp_path / "run"
+    config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
+    monkeypatch.setattr(job, "_build", lambda *_: "a world")
+    monkeypatch.setattr(job, "_run", lambda *_: None)
+    run_training(config, Console(quiet=True))
+    began = json.loads((run / "provenance.json").read_text())
+    run_training(stored_config(run), Console(quiet=True))
+    assert json.loads((run / "provenance.json").read_text()) == began
+    monkeypatch.setattr("mjx_grasp.records.provenance.git_revision", lambda: "later")
+    for _ in range(2):
+        run_training(stored_config(run), Console(quiet=True))
+    now = json.loads((run / "provenance.json").read_text())
+    (resumed,) = now.pop("resumed")
+    assert now == began and resumed["git"] == "later"
+
+
+def test_a_run_with_terms_of_its_own_goes_on_with_them_alone(scene, tmp_path, monkeypatch, capsys):
+    states, run = asset_path("handoffs_standins.npz"), tmp_path / "run"
+    config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
+    monkeypatch.setattr(job, "_build", lambda *_: "a world")
+    own = (RewardTerm("gentle", -0.2, lambda moment: moment.force),)
+
+    def stopped(*_):
+        raise KeyboardInterrupt("interrupted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "_run", stopped)
+        with pytest.raises(KeyboardInterrupt, match=r"script.*resume=.*run"):
+            run_training(config, Console(quiet=True), extra_terms=own)
+    monkeypatch.setattr(job, "_run", lambda *_: None)
+    run_training(stored_config(run), Console(quiet=True), extra_terms=own)
+    status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
+    assert status == 2
+    assert "extra reward terms [] now" in error and "gentle" in error
+
+
+def test_objects_without_a_state_to_be_judged_from_are_refused_or_named(robot):
+    stored, names = load_handoffs(asset_path("handoffs_standins.npz")), ("foam_brick", "apple")
+    of = [np.flatnonzero(stored.object_index == stored.object_names.index(n)) for n in names]
+    scene = build_scene_of(names, None, robot, SceneConfig())
+    config = preset_config("cpu")
+
+    def built(config, *which):
+        heard = Console(record=True, file=io.StringIO(), width=200)
+        world = job._build(scene, stored.take(np.concatenate(which)), config, heard)
+        return len(world.starts.object_index), heard.export_text()
+
+    with pytest.raises(InputError, match=r"--evaluation-episodes.*no object"):
+        built(config, of[0][:1], of[1][:1])
+    assert built(replace(config, evaluation_episodes=0), of[0][:1], of[1][:1]) == (2, "")
+    count, said = built(config, of[0][:1], of[1][:8])
+    assert count == 7 and "not evaluated: foam_brick" in said and "apple" not in said
 
 
 def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):

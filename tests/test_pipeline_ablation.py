@@ -17,6 +17,7 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record
 from mjx_grasp.evaluation.grasps.scenario import Scenario
+from mjx_grasp.records.provenance import versions
 from mjx_grasp.records.settings import to_record
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -107,7 +108,7 @@ def test_variants_come_in_their_order_and_unknown_ones_are_refused(ablation):
 @pytest.fixture
 def quick(ablation, tmp_path, monkeypatch):
     """The script without a single grasp: what it would have run, and one that is interrupted."""
-    ran, made = [], {"git": "abc", "command": "python", "seed": 0}
+    ran, made = [], {"git": "abc", "versions": versions(), "command": "python", "seed": 0}
     after = SimpleNamespace(runs=None)
 
     def counted(self, scenario, make, block, progress):

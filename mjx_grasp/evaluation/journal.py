@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from mjx_grasp.evaluation.spread import Spread, as_done
 from mjx_grasp.records.atomic import replacing
-from mjx_grasp.records.provenance import is_committed
+from mjx_grasp.records.provenance import is_committed, versions
 
 Context = TypeVar("Context")
 Job = TypeVar("Job")
@@ -27,10 +27,12 @@ def goes_on(before: dict[str, Any], identity: dict[str, Any], git: str) -> bool:
         before: The file.
         identity: What it has to hold of settings and inputs.
         git: Revision of the code now. With uncommitted changes it says nothing of the code: they
-            may be others than before.
+            may be others than before. Versions of the packages have to be the same too.
     """
     same = all(before.get(name) == value for name, value in identity.items())
-    return same and before["provenance"]["git"] == git and is_committed(git)
+    made = before["provenance"]
+    made_by = {name: made.get("versions", {}).get(name) for name in versions()}
+    return same and made["git"] == git and made_by == versions() and is_committed(git)
 
 
 class Journal:
@@ -39,13 +41,14 @@ class Journal:
     Args:
         results: The results file; the journal is the hidden file `.NAME.begun` beside it.
         identity: What the results depend on: settings, inputs.
-        git: Revision of the code. A journal of another one, or of another identity, is begun anew,
-            and so is one of uncommitted changes.
+        git: Revision of the code. A journal of another one, of another identity or of other
+            versions of packages is begun anew, and so is one of uncommitted changes.
     """
 
     def __init__(self, results: Path, identity: dict[str, Any], git: str):
         self.path = results.with_name(f".{results.name}.begun")
-        self._first = json.dumps(identity | {"git": git}, sort_keys=True, default=str)
+        made_by = {"git": git, "versions": versions()}
+        self._first = json.dumps(identity | made_by, sort_keys=True, default=str)
         self.done: dict[str, Any] = dict(self._kept()) if is_committed(git) else {}
         """of each finished job, by its name, what it gave"""
 

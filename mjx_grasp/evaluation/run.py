@@ -25,7 +25,7 @@ from mjx_grasp.evaluation.trials import (
     zero_controller,
 )
 from mjx_grasp.handoff.dataset import HandoffSet, kind_of
-from mjx_grasp.handoff.states import eligible, states_of
+from mjx_grasp.handoff.states import states_of, with_states
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
@@ -45,13 +45,12 @@ def chosen_states(
         InputError: An unknown object, or none with states in the part of the set.
     """
     asked = resolve(config.objects)
-    part = states_of(stored, [n for n in asked if n in stored.object_names], config.states)
-    names, without = eligible(asked, part)
+    names, without, states = with_states(asked, stored, config.states)
     if not names:
         counts = states_of(stored, stored.object_names, config.states).counts()
         known = ", ".join(n for n in counts if counts[n]) or "none"
         raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
-    return names, without, part.select(names)
+    return names, without, states
 
 
 def evaluate(

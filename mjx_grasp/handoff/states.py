@@ -22,6 +22,18 @@ def eligible(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], lis
     return [n for n in names if n in have], [n for n in names if n not in have]
 
 
+def with_states(
+    names: Sequence[str], handoffs: HandoffSet, part: str
+) -> tuple[list[str], list[str], HandoffSet]:
+    """Objects that have states in a part of the set, those that have none, and the former's states.
+
+    A single state of an object is the training's: such an object has none to be evaluated from.
+    """
+    stored = states_of(handoffs, [n for n in names if n in handoffs.object_names], part)
+    have, without = eligible(names, stored)
+    return have, without, stored.select(have)
+
+
 def states_of(handoffs: HandoffSet, names: Sequence[str], part: str) -> HandoffSet:
     """The named objects' states of a part of the set."""
     chosen = handoffs.select(names)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.records.atomic import replacing
 
 
 class MetricLog:
@@ -40,15 +41,19 @@ class MetricLog:
         self._columns = columns
         path = folder / "metrics.csv"
         kept = _rows_until(path, from_iteration) if from_iteration else []
-        self._file = path.open("w", newline="")
-        self._csv = csv.DictWriter(self._file, columns, restval="nan", extrasaction="ignore")
-        self._csv.writeheader()
-        self._csv.writerows(kept)
-        self._file.flush()
+        with replacing(path) as temporary, temporary.open("w", newline="") as stream:
+            rows = self._writer(stream)
+            rows.writeheader()
+            rows.writerows(kept)
+        self._file = path.open("a", newline="")
+        self._csv = self._writer(self._file)
         self._last = kept[-1] if kept else {}
         done = int(self.number_of_last("env_steps"))
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=done + 1)
         self._wandb = _wandb_run(wandb_project, folder, config) if wandb_project else None
+
+    def _writer(self, stream: TextIO) -> csv.DictWriter:
+        return csv.DictWriter(stream, self._columns, restval="nan", extrasaction="ignore")
 
     def number_of_last(self, name: str) -> float:
         """A figure of the last row that a resumed run has kept; 0 where there is none."""

@@ -55,6 +55,7 @@ def command_line() -> str:
 def git_revision() -> str:
     """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one.
 
+    A repository that the package is merely installed in says nothing of it.
     In a copy it is what `make revision` wrote, also where the copy has a repository of its own that
     does not know that commit. Results do not count as changes, nor do the READMEs that show them:
     the one that is being made lies there while it is made. Nor do new files count that are no part
@@ -69,6 +70,8 @@ def git_revision() -> str:
     stamp = _root() / "REVISION"
     copied = stamp.read_text().strip() if stamp.is_file() else "unknown"
     try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != _root():
+            return copied
         revision = git("rev-parse", "HEAD")
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", *_RESULTS)
         new = git("ls-files", "--others", "--exclude-standard", "--", *_SOURCES)

@@ -54,7 +54,7 @@ def update_progress(
     high = rise >= config.height
     moved = displacement >= config.slip
     held = jnp.where(high & ~moved, progress.held_ticks + 1, 0)
-    needed = round(config.hold_s / control_dt)
+    needed = max(round(config.hold_s / control_dt), 1)
     lifted = progress.lifted | high
     return Progress(
         held_ticks=held,

@@ -15,7 +15,7 @@ from rich.console import Console
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
-from mjx_grasp.handoff.states import eligible, states_of
+from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
@@ -74,6 +74,7 @@ def run_training(
     start = start_policy(config, robot)
     stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
     _check_same_files(config)
+    _check_same_terms(config, extra_terms)
     if stored is not None:
         _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
@@ -81,7 +82,7 @@ def run_training(
     world = None if stored is None else _build(scene, stored, config, console)
     devices.wait("every process has looked at the folder")
     if devices.writes:
-        _open_run(config, folder, stored, command)
+        _open_run(config, folder, stored, command, extra_terms)
     try:
         if stored is None or world is None:
             try:
@@ -96,6 +97,8 @@ def run_training(
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
         again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
+        if extra_terms:
+            again = f"the script that gave the extra terms, with resume={str(folder)!r}"
         raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
     return folder
 
@@ -146,7 +149,7 @@ def _run(
         return
     _save_policy(folder, state, config, names, world.scene.robot.identity)
     if config.evaluation_episodes:
-        held_out = states_of(handoffs, names, "evaluation")
+        _, _, held_out = with_states(names, handoffs, "evaluation")
         evaluate_run(folder, config, world, held_out, console, command)
 
 
@@ -170,6 +173,22 @@ def _check_same_files(config: TrainConfig) -> None:
             raise FileError(given[name] or path, found, what)
 
 
+def _check_same_terms(config: TrainConfig, extra_terms: Sequence[RewardTerm]) -> None:
+    """Refuses to resume without the extra reward terms of the run, or with others.
+
+    Raises:
+        FileError: The terms differ.
+    """
+    if config.resume is None:
+        return
+    path = config.resume / "provenance.json"
+    began = read_json(path, "the provenance of the run to resume").get("extra_terms", [])
+    given = [term.name for term in extra_terms]
+    if given != began:
+        expected = f"{began}, as the run was begun with: resume it from the script that gave them"
+        raise FileError(path, f"extra reward terms {given} now", expected)
+
+
 def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
     """Splits objects into those with start states and those without.
 
@@ -189,6 +208,13 @@ def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Con
     names, without = _trainable(scene.object_names, handoffs)
     if without:
         console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
+    judged, unjudged, _ = with_states(names, handoffs, "evaluation")
+    if config.evaluation_episodes and not judged:
+        expected = "0, as no object has a start state beside those of the training"
+        raise InputError("--evaluation-episodes", config.evaluation_episodes, expected)
+    if config.evaluation_episodes and unjudged:
+        few = "without start states beside those of the training, not evaluated"
+        console.print(f"[yellow]{few}: {', '.join(unjudged)}[/yellow]")
     return build_world(scene, states_of(handoffs, names, "training"), config.task.control_dt)
 
 
@@ -211,13 +237,29 @@ def _run_folder(config: TrainConfig) -> Path:
 
 
 def _open_run(
-    config: TrainConfig, folder: Path, stored: HandoffSet | None, command: str | None
+    config: TrainConfig,
+    folder: Path,
+    stored: HandoffSet | None,
+    command: str | None,
+    extra_terms: Sequence[RewardTerm],
 ) -> None:
-    """Writes the configuration and the provenance of a new run to its folder."""
+    """Writes the configuration and the provenance of a new run to its folder.
+
+    Of a resumed one it notes what else it was made by: another revision, other versions, another
+    device.
+    """
+    made = provenance(config.seed, command)
     if config.resume is not None:
+        path = folder / "provenance.json"
+        began = read_json(path, "the provenance of the run to resume")
+        resumed = began.get("resumed", [])
+        last = resumed[-1] if resumed else began
+        if any(made[name] != last.get(name) for name in ("git", "versions", "device")):
+            write_json(path, began | {"resumed": [*resumed, made]})
         return
     digests = file_digests(handoffs=config.handoffs, start_from=start_file(config))
     made_of: dict[str, Any] = {"sha256": digests}
+    made_of["extra_terms"] = [term.name for term in extra_terms]
     kind: str
     if stored is None:
         kind, wanted = config.handoffs_kind, config.handoffs_per_object
@@ -225,7 +267,7 @@ def _open_run(
     else:
         kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
-    contents = (to_record(config), provenance(config.seed, command) | made_of)
+    contents = (to_record(config), made | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         write_json(folder / name, content)
 

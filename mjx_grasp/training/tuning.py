@@ -7,8 +7,11 @@ import itertools
 import os
 import shlex
 import shutil
+import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,14 +27,21 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.states import eligible
+from mjx_grasp.objects.catalogue import find_objects, load_catalogue
+from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.job import run_training
+from mjx_grasp.training.start import start_policy
 
 SCHEMA = "mjx_grasp.tune/1"
+_COMMAND = ("python", "-m", "mjx_grasp.train")
 _LAST = 20
 """Iterations whose mean stands for the end of a training."""
 _PLAN = "a mapping with `seeds`, `settings` and, if wanted, `flags` and `objects`"
@@ -70,7 +80,7 @@ def read_plan(path: Path) -> list[Run]:
     """The trainings of a plan, every combination once.
 
     Raises:
-        FileError: It is no plan.
+        FileError: It is no plan, or two of its trainings have the same name.
     """
     try:
         content = yaml.safe_load(path.read_text())
@@ -79,8 +89,8 @@ def read_plan(path: Path) -> list[Run]:
             raise ValueError(f"unknown: {', '.join(unknown)}")
         common = dict(content.get("flags", {}))
         settings = {str(k): dict(v or {}) for k, v in content["settings"].items()}
-        objects = {str(k): list(v) for k, v in content.get("objects", {"": []}).items()}
-        seeds = [int(seed) for seed in content["seeds"]]
+        objects = {str(k): _listed(k, v) for k, v in content.get("objects", {"": []}).items()}
+        seeds = [int(seed) for seed in _listed("seeds", content["seeds"])]
         if not (settings and objects and seeds) or len(set(seeds)) < len(seeds):
             raise ValueError("no settings, objects or seeds, or a seed twice")
     except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
@@ -92,7 +102,17 @@ def read_plan(path: Path) -> list[Run]:
             of |= {"objects": objects[group]}
         name = "-".join(part for part in (setting, group, f"seed{seed}") if part)
         runs.append(Run(name, setting, group, seed, tuple(as_flags(of))))
+    for name, count in Counter(run.name for run in runs).items():
+        if count > 1:
+            expected = "names of settings and objects that make one of their own for each"
+            raise FileError(path, f"{count} trainings with the name {name}", expected)
     return runs
+
+
+def _listed(name: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name}: {value!r} is no list")
+    return value
 
 
 def as_flags(values: Mapping[str, Any]) -> Iterator[str]:
@@ -118,7 +138,8 @@ def tune(config: TuneConfig, console: Console) -> Table:
 
     Raises:
         InputError: Ray is not installed, or a folder cannot be written.
-        FileError: The plan is none, or `train` refuses what it says.
+        FileError: The plan is none, `train` refuses what it says, or the folder has a training that
+            was begun with other flags.
         MjxGraspError: A training failed; the others are in the table.
     """
     if find_spec("ray") is None:
@@ -127,10 +148,12 @@ def tune(config: TuneConfig, console: Console) -> Table:
     if not config.out.exists():
         check_new_folder("--out", config.out)
     for run in runs:
-        _check(config.plan, run)
+        _check_begun(config.out / run.name, run)
+    left = [run for run in runs if not finished(config.out / run.name)]
+    _check(config, left)
     table = config.out / "table.json"
     before, began = _before(table), time.monotonic()
-    failed = run_all(config, [r for r in runs if not finished(config.out / r.name)], console)
+    failed = run_all(config, left, console)
     rows = gathered(config.out, runs)
     content = {
         "schema": SCHEMA,
@@ -159,19 +182,116 @@ def finished(folder: Path) -> bool:
     return (folder / "finished.json").exists()
 
 
-def _check(plan: Path, run: Run) -> None:
-    """Refuses what `train` would refuse, before anything starts.
+def _check_begun(folder: Path, run: Run) -> None:
+    """Refuses to go on with, or to count, what was begun with other flags.
+
+    Raises:
+        FileError: It was.
+    """
+    if not (finished(folder) or (folder / "provenance.json").exists()):
+        return
+    begun, asked = _flags_of(_begun_by(folder)), _flags_of(shlex.join(run.flags))
+    if begun != asked:
+        its, own = (" ".join(sorted(x)) or "no such flag" for x in (begun - asked, asked - begun))
+        expected = f"{own}, as in the plan; name another --out, or delete the folder"
+        raise FileError(folder, f"a training that was begun with {its}", expected)
+
+
+def _begun_by(folder: Path) -> str:
+    """The command that began a training, or its flags alone."""
+    made = folder / "provenance.json"
+    if made.exists():
+        command = str(read_json(made, "the provenance of a training").get("command"))
+        if command.startswith(shlex.join(_COMMAND)):
+            return command
+    if not finished(folder):
+        return ""
+    # The first trainings of plans were said to be made by Ray.
+    flags = read_json(folder / "finished.json", "flags of a training").get("flags", [])
+    return shlex.join(map(str, flags))
+
+
+def _flags_of(command: str) -> set[str]:
+    """The flags of a command of `train`, each with its values; all but the folder."""
+    _, *flags = f" {command}".split(" --")
+    return {f"--{flag}" for flag in flags if not flag.startswith("out ")}
+
+
+def _check(config: TuneConfig, runs: Sequence[Run]) -> None:
+    """Refuses what `train` would refuse, where it would run, before anything starts.
 
     Raises:
         FileError: It would.
     """
+    if not runs:
+        return
+    work = [list(run.flags) for run in runs], os.getcwd()
+    if config.address is None:
+        said = refusals(*work)
+    else:
+        import ray
+
+        with _tasks(config) as task:
+            said = ray.get(task(refusals).remote(*work))
+    for run, why in zip(runs, said, strict=True):
+        if why:
+            raise FileError(config.plan, f"{run.name}: {why}", "settings of `train`")
+
+
+def refusals(trainings: Sequence[list[str]], cwd: str) -> list[str]:
+    """Why `train` would refuse flags, as far as that is found out fast; else nothing."""
+    os.chdir(cwd)
+    return [_refusal(flags) for flags in trainings]
+
+
+def _refusal(flags: list[str]) -> str:
     try:
-        parse(list(run.flags))
-    except InputError as error:
-        raise FileError(plan, f"{run.name}: {error}", "settings of `train`") from None
+        asked = parse(flags)
+        robot = load_robot(asked.robot)
+        start_policy(asked, robot)
+        objects = find_objects(asked.objects)
+        if asked.objects_dir is not None:
+            known = load_catalogue()
+            for each in objects:
+                if each.file is None:
+                    find_scan(asked.objects_dir, known[each.name].scan_names)
+        if asked.handoffs is not None:
+            names = [each.name for each in objects]
+            if not eligible(names, load_handoffs(asked.handoffs, robot=robot))[0]:
+                expected = f"objects with pre-grasps in {asked.handoffs}"
+                raise InputError("--objects", ", ".join(names), expected)
+    except MjxGraspError as error:
+        return str(error)
     except SystemExit:  # of the parser, which has said why
-        expected = "flags of `python -m mjx_grasp.train`"
-        raise FileError(plan, f"{run.name}: {' '.join(run.flags)}", expected) from None
+        return f"no flags of `{shlex.join(_COMMAND)}` ({shlex.join(flags)})"
+    return ""
+
+
+@contextmanager
+def _tasks(config: TuneConfig) -> Iterator[Callable[[Callable[..., Any]], Any]]:
+    """What makes Ray tasks of functions, each with a training's share of a machine."""
+    import ray
+
+    # Modules are found where this process finds them; nobody takes all of a GPU.
+    variables = {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "XLA_PYTHON_CLIENT_PREALLOCATE": os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false"),
+    }
+    ray.init(
+        address=config.address,
+        log_to_driver=False,
+        include_dashboard=False,
+        runtime_env={"env_vars": variables},
+    )
+    try:
+        gpus = config.gpus
+        if gpus is None:
+            alone = config.address is None
+            gpus = float(has_gpu() if alone else ray.cluster_resources().get("GPU", 0) > 0)
+        # A process of its own for each: what JAX holds goes with it. A lost one is run again.
+        yield ray.remote(max_calls=1, max_retries=-1, num_cpus=config.cpus, num_gpus=gpus)
+    finally:
+        ray.shutdown()
 
 
 def run_all(
@@ -192,17 +312,11 @@ def run_all(
         return {}
     import ray
 
-    here = has_gpu() if config.gpus is None else config.gpus > 0
-    gpus = float(here) if config.gpus is None else config.gpus
-    ray.init(address=config.address, log_to_driver=False, include_dashboard=False)
-    try:
-        # A process of its own for each: what JAX holds goes with it. A lost one is run again.
-        task = ray.remote(max_calls=1, max_retries=-1, num_cpus=config.cpus, num_gpus=gpus)(
-            work or train
-        )
-        out = config.out.resolve()
+    with _tasks(config) as task:
+        trained, out = task(work or train), config.out.resolve()
         begun = {
-            task.remote(str(out / run.name), list(run.flags), os.getcwd()): run.name for run in runs
+            trained.remote(str(out / run.name), list(run.flags), os.getcwd()): run.name
+            for run in runs
         }
         failed: dict[str, str] = {}
         with counting_progress(console) as bar:
@@ -216,8 +330,6 @@ def run_all(
                     failed[begun[done]] = str(error).strip().splitlines()[-1]
                 bar.update(job, advance=1)
         return failed
-    finally:
-        ray.shutdown()
 
 
 def train(folder: str, flags: list[str], cwd: str) -> None:
@@ -230,7 +342,7 @@ def train(folder: str, flags: list[str], cwd: str) -> None:
         shutil.rmtree(at)  # cut short while it was opened
     argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
     shown = [os.path.relpath(word) if word == folder else word for word in argv]
-    command = shlex.join(["python", "-m", "mjx_grasp.train", *shown])
+    command = shlex.join([*_COMMAND, *shown])
     with open(os.devnull, "w") as nowhere:
         run_training(parse(argv), Console(file=nowhere), command=command)
     write_json(at / "finished.json", {"flags": flags})

@@ -9,7 +9,8 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -84,7 +85,8 @@ class LiveViewer:
         self.viewer.camera, self.viewer.fov = _CAMERA, _FOV
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._stopped, self._closed = threading.Event(), threading.Event()
-        self._ready = False
+        self._asked = threading.Lock()  # held while a grasp is queued or runs
+        self._ready, self._hint = False, "getting ready"
         self._build_scene()
         self._build_panel()
         self._put()
@@ -145,8 +147,8 @@ class LiveViewer:
             self.drop = gui.add_button("new pose", color="gray")
             self.force = gui.add_slider("push [N]", 0.0, MOST_PUSH_N, 0.1, 0.0)
             self.towards = gui.add_slider("towards [°]", -180, 180, 5, 90)
-            self._status = gui.add_html(note("getting ready"))
-        self.grasp.on_click(lambda _: self._jobs.put(self._grasp))
+            self._status = gui.add_html(note(self._hint))
+        self.grasp.on_click(lambda _: self._ask())
         self.drop.on_click(lambda _: self._jobs.put(self._drop))
         self.stop.on_click(lambda _: self._stopped.set())
         for slider in (self.force, self.towards):
@@ -156,6 +158,18 @@ class LiveViewer:
         def _(_event: Any) -> None:
             name = self.chosen.value
             self._jobs.put(lambda: self._choose(name))
+
+    def _ask(self) -> None:
+        """Has a grasp done, unless one is queued or runs."""
+        if self._asked.acquire(blocking=False):
+            self._stopped.clear()
+            self._jobs.put(self._answer)
+
+    def _answer(self) -> None:
+        try:
+            self._grasp()
+        finally:
+            self._asked.release()
 
     def _work(self) -> None:
         """Does what is asked for, in its order."""
@@ -169,23 +183,35 @@ class LiveViewer:
 
     def _prepare(self) -> None:
         """Compiles, and says so."""
-        began, at = time.monotonic(), ["getting ready"]
-
-        def count() -> None:
-            while not (self._ready or self._closed.is_set()):
-                seconds = time.monotonic() - began
-                self._say(f"{at[-1]}, {seconds:.0f} s; a minute or two in all")
-                time.sleep(1.0)
-
-        threading.Thread(target=count, daemon=True).start()
+        at = [self._hint]
         try:
-            self.live.prepare(self._subjects[self._name].known, at.append)
+            with self._counting(at):
+                self.live.prepare(self._subjects[self._name].known, at.append)
         except Exception as error:
-            self._say(f"{type(error).__name__}: {error}")
+            self._hint = f"{type(error).__name__}: {error}"
+            self._say(self._hint)
             raise
-        self._ready = True
+        self._ready, self._hint = True, _HOW
         self._say(f"ready: {_HOW}")
         self._enable(running=not self._jobs.empty())
+
+    @contextmanager
+    def _counting(self, at: list[str]) -> Iterator[None]:
+        """Says every second what is worked on, the last of a list, until it is done."""
+        began, done = time.monotonic(), threading.Event()
+
+        def count() -> None:
+            while not (done.wait(1.0) or self._closed.is_set()):
+                seconds = time.monotonic() - began
+                self._say(f"{at[-1]}, {seconds:.0f} s; a minute or two in all")
+
+        counter = threading.Thread(target=count, daemon=True)
+        counter.start()
+        try:
+            yield
+        finally:
+            done.set()
+            counter.join()
 
     def _subject(self, name: str) -> Subject:
         if name not in self._subjects:
@@ -204,11 +230,12 @@ class LiveViewer:
             subject, self._name = self._subject(name), name
             self.viewer.change(subject.stored, subject.target)
             self._put()
-            self._say(f"{name}: {_HOW}")
+            self._say(f"{name}: {self._hint}")
 
     def _drop(self) -> None:
         self._seed += 1
         self._put()
+        self._say(f"{self._name}: {self._hint}")
 
     def _put(self) -> None:
         """Robot home, the object at a random resting pose."""
@@ -224,7 +251,6 @@ class LiveViewer:
         if not self._ready or score.max() <= 0:
             self._say("this hand can grasp nothing there" if self._ready else "not ready yet")
             return
-        self._stopped.clear()
         subject = self._subjects[self._name]
         candidates = steered_candidates(subject.stored.heatmap, jnp.asarray(score))
         self._say("planning")
@@ -239,6 +265,8 @@ class LiveViewer:
             if ticks % _DRAW_EVERY == 0:
                 self._draw(pace.rate)
         self._draw(pace.rate, stopped=self._stopped.is_set())
+        if self.live.last is None:
+            self._say("stopped")  # while it was planned
         self.live.stop()
         self._show_marks(running=False)
 

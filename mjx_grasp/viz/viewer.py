@@ -66,6 +66,7 @@ class Viewer:
     ):
         viser = import_viser()
         self.settings = settings or ViewerSettings()
+        self._first_sigma = self.settings.sigma
         self._take(stored, target)
         self._lock = threading.Lock()  # callbacks come from several threads
         eye = self._centre + self._size * np.array([0.5, -0.8, 0.45])
@@ -94,26 +95,31 @@ class Viewer:
             InputError: A setting that cannot work.
         """
         with self._lock:
-            self.settings = replace(self.settings, **changes)
-            self.shown = show(self.heatmap, self.settings)
+            before, self.settings = self.settings.scale, replace(self.settings, **changes)
+            self.shown = shown = show(self.heatmap, self.settings)
             self._draw()
-            return self.shown
+        if "sigma" not in changes and self.settings.scale != before:
+            self._show_sigma()
+        return shown
 
     def change(self, stored: StoredHeatmap, target: Target) -> None:
-        """Shows another object in the place of this one, without an anchor.
+        """Shows another object in the place of this one, without an anchor, of the first sigma.
 
         Args:
             stored: Its heatmap and mesh.
             target: It, for instructions.
         """
         with self._lock:
-            self.settings = replace(self.settings, anchor=None, size=(0.0, 0.0, 0.0))
+            self.settings = replace(
+                self.settings, anchor=None, size=(0.0, 0.0, 0.0), sigma=self._first_sigma
+            )
             self._take(stored, target)
             self.anchor.position, self.anchor.scale = self._centre, _GIZMO * self._size
             self._draw_anchor()
             self._draw()
         # Not under the lock, as it calls back.
         self.steered.value = self.anchor.visible = False
+        self._show_sigma()
         self.server.gui.set_panel_label(target.name)
 
     def place(self, position: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]) -> None:
@@ -175,7 +181,8 @@ class Viewer:
         gui, settings = self.server.gui, self.settings
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
-        self.sigma = gui.add_slider("sigma [mm]", 1.0, 60.0, 0.5, _millimetres(settings.scale))
+        first = _millimetres(settings.scale)
+        self.sigma = gui.add_slider("sigma [mm]", min(1.0, first), max(60.0, first), 0.5, first)
         self.steering = gui.add_dropdown(
             "near it", get_args(Steering), initial_value=settings.steering
         )
@@ -192,7 +199,8 @@ class Viewer:
 
         @self.sigma.on_update
         def _(_event: Any) -> None:
-            self.set(sigma=1e-3 * self.sigma.value)
+            if self.sigma.value != _millimetres(self.settings.scale):  # else only shown
+                self.set(sigma=1e-3 * self.sigma.value)
 
         @self.steering.on_update
         def _(_event: Any) -> None:
@@ -218,8 +226,12 @@ class Viewer:
             self._note.content = f"{error}"
             return
         self._move(tuple(found.point), tuple(found.size))
-        self.set(sigma=None)
-        self.sigma.value = _millimetres(self.settings.scale)
+
+    def _show_sigma(self) -> None:
+        """The slider shows a sigma that it has not set, such as that of a part."""
+        value, slider = _millimetres(self.settings.scale), self.sigma
+        slider.min, slider.max = min(slider.min, value), max(slider.max, value)
+        slider.value = value
 
     def _move(
         self, anchor: tuple[float, ...] | None, size: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -279,4 +291,4 @@ class Viewer:
 
 
 def _millimetres(length: float) -> float:
-    return round(1e3 * length, 1)
+    return float(f"{1e3 * length:.3g}")  # never 0

@@ -13,6 +13,7 @@ import pytest
 from mjx_grasp.evaluation import journal as module
 from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
 from mjx_grasp.evaluation.spread import Spread
+from mjx_grasp.records.provenance import versions
 
 
 @pytest.fixture
@@ -97,13 +98,23 @@ def test_what_uncommitted_code_has_done_is_done_again(results):
 
 
 def test_a_file_of_other_settings_or_code_is_not_gone_on_with():
-    before = {"config": {"seed": 1}, "sha256": {}, "rows": [], "provenance": {"git": "abc"}}
+    made = {"git": "abc", "versions": {"python": "3"} | versions()}
+    before = {"config": {"seed": 1}, "sha256": {}, "rows": [], "provenance": made}
     same = {"config": {"seed": 1}, "sha256": {}}
     assert goes_on(before, same, "abc")
     assert not goes_on(before, same | {"config": {"seed": 2}}, "abc")
     assert not goes_on(before, same | {"known": {}}, "abc")
     assert not goes_on(before, same, "abd")
-    assert not goes_on(before | {"provenance": {"git": "abc-dirty"}}, same, "abc-dirty")
+    assert not goes_on(before | {"provenance": made | {"git": "abc-dirty"}}, same, "abc-dirty")
+    newer = made | {"versions": versions() | {"mujoco": "99.0"}}
+    assert not goes_on(before | {"provenance": newer}, same, "abc")
+    assert not goes_on(before | {"provenance": {"git": "abc"}}, same, "abc")
+
+
+def test_what_other_versions_have_done_is_done_again(results, monkeypatch):
+    _run(results, [1, 2, 3], until=3)
+    monkeypatch.setattr("mjx_grasp.evaluation.journal.versions", lambda: {"mujoco": "99.0"})
+    assert _run(results, [1, 2, 3]) == ([2, 4, 6], [1, 2, 3])
 
 
 def test_what_is_not_json_is_refused_at_once(results):

@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from grasp_rows import row
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps import circumstances, job, problems, rollout
+from mjx_grasp.evaluation.grasps.blocks import Block
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
@@ -39,6 +41,7 @@ from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
@@ -357,6 +360,61 @@ def test_what_cannot_work_is_refused_before_anything_long_starts(tmp_path):
     assert out.read_text() == "{}"
 
 
+@pytest.mark.parametrize("wrong", ["away: 2.0", "objects: [slab.obj]"])
+def test_a_later_scenario_that_cannot_work_is_refused_before_the_first_trial(
+    wrong, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(Makers, "run", lambda *_: pytest.fail("a trial began"))
+    trimesh.creation.box(extents=(0.3, 0.3, 0.3)).export("slab.obj")
+    Path("calm.yaml").write_text("hold_s: 1\n")
+    Path("wrong.yaml").write_text(f"{wrong}\n")
+    before = sorted(tmp_path.iterdir())
+    config = ScenariosConfig(
+        scenarios=("calm.yaml", "wrong.yaml"), objects=("rubiks_cube",), out=Path("out.json")
+    )
+    field, found = ("away", "2.0") if "away" in wrong else ("object", "'slab.obj'")
+    with pytest.raises(InputError, match=f"^wrong: {field}: found {found}, expected"):
+        run_scenarios(config, Console(quiet=True))
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def makers(robot, *objects, **settings):
+    return Makers(ScenariosConfig(objects=objects, out=Path("out.json"), **settings), robot)
+
+
+def test_an_object_that_cannot_be_grasped_is_refused_every_time(robot):
+    trimesh.creation.box(extents=(0.3, 0.3, 0.3)).export("slab.obj")
+    asked = makers(robot, "slab.obj")
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"slab\.obj.*for thumb and fingers to oppose"):
+            asked.known(Scenario())
+
+
+def test_only_meshes_have_the_weight_that_is_asked_for(robot):
+    trimesh.creation.box(extents=(0.05, 0.06, 0.09)).export("jug.obj")
+    asked, can = makers(robot, "jug.obj", mass=0.3), Scenario(objects=("chips_can",))
+    assert [obj.mass for obj in asked.objects(Scenario())] == [0.3]
+    assert [obj.mass for obj in asked.objects(can)] == [load_catalogue()["chips_can"].mass]
+    both = asked.objects(Scenario(objects=("chips_can", "jug.obj")))
+    assert [obj.mass for obj in both] == [load_catalogue()["chips_can"].mass, 0.3]
+    asked = makers(robot, "chips_can", mass=0.3)
+    asked.objects(can)
+    with pytest.raises(InputError, match="--mass or --density"):
+        asked.objects(Scenario())
+
+
+def test_own_objects_of_a_scenario_share_its_trials_and_have_one_each(robot):
+    def trials(episodes, *own):
+        problem = asked.problem(Scenario(objects=own), grasper_of, Block(0, episodes, 0))
+        return np.bincount(problem.object_index).tolist()
+
+    asked = makers(robot, "rubiks_cube", "foam_brick")
+    assert trials(4) == [4, 4]
+    assert trials(4, "apple") == [8]
+    assert trials(4, "apple", "orange", "pear") == [2, 2, 2]
+    assert trials(1, "apple", "orange", "pear") == [1, 1, 1]
+
+
 def test_the_included_policy_closes_unless_something_else_is_named():
     robot, file = load_robot(), Path("own.npz")
     assert closing_policy("policy", None, robot) == asset_path("policy.npz")
@@ -401,6 +459,7 @@ def quick(tmp_path, monkeypatch, committed):
         return [row(), row("slipped")]
 
     monkeypatch.setattr(Makers, "run", counted)
+    monkeypatch.setattr(Makers, "check", lambda *_: None)
     files = tmp_path / "calm.yaml", tmp_path / "windy.yaml"
     files[0].write_text("hold_s: 1\n")
     files[1].write_text("push: {force: 1.0}\nhold_s: 3\n")

@@ -10,7 +10,7 @@ from test_handoff_dataset import equal, some
 from mjx_grasp.handoff.attempts import Attempts
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.generate import HandoffGenerator, _Accepted
-from mjx_grasp.handoff.states import eligible, states_of
+from mjx_grasp.handoff.states import eligible, states_of, with_states
 
 BAD, GOOD = 1.0, 0.0  # errors on either side of the tolerance [m]
 
@@ -93,3 +93,15 @@ def test_no_state_of_the_evaluation_is_one_of_the_training():
     assert poses[0] | poses[1] == poses[2]
     assert 0.2 < len(evaluation) / len(whole) < 0.3
     assert eligible(["ball", "box"], handoffs) == (["box"], ["ball"])
+
+
+def test_the_only_state_of_an_object_is_the_trainings():
+    handoffs = some(n=60)
+    can = handoffs.object_index == handoffs.object_names.index("can")
+    few = handoffs.take(np.flatnonzero(~can | (np.cumsum(can) == 1)))
+    names = ["can", "box", "ball"]
+    for part, expected in (("training", ["can", "box"]), ("evaluation", ["box"])):
+        have, without, states = with_states(names, few, part)
+        assert (have, set(without)) == (expected, set(names) - set(expected))
+        assert states.object_names == tuple(expected)
+        assert equal(states, states_of(few, expected, part))

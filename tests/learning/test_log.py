@@ -37,6 +37,18 @@ def test_resume_keeps_rows_up_to_the_checkpoint_and_no_others(tmp_path):
     assert rows(tmp_path) == [(1, 1.0), (2, 1.0), (3, 1.0), (4, 2.0), (5, 2.0), (6, 2.0)]
 
 
+def test_a_log_that_cannot_be_written_anew_stays_as_it_was(tmp_path, monkeypatch):
+    write(tmp_path, range(1, 6))
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(csv.DictWriter, "writerows", full)
+    with pytest.raises(OSError, match="no space"):
+        MetricLog(tmp_path, COLUMNS, 3)
+    assert [i for i, _ in rows(tmp_path)] == [1, 2, 3, 4, 5]
+
+
 def test_new_run_starts_an_empty_log(tmp_path):
     write(tmp_path, range(1, 4))
     write(tmp_path, [1])

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.training import tuning
@@ -70,6 +71,7 @@ def test_values_become_words_of_a_command_line():
     [
         "seeds: [0]", "settings: {a: {}}", "settings: {a: {}}\nseeds: [0, 0]", "[1, 2]", "{a: :",
         "settings: {a: {}}\nseeds: [0]\nepisodes: 3", "settings: {a: {}}\nseeds: [x]",
+        "settings: {a: {}}\nseeds: [0]\nobjects: {cups: mug}", "settings: {a: {}}\nseeds: '01'",
     ],
 )  # fmt: skip
 def test_what_is_no_plan_is_refused(tmp_path, text):
@@ -79,9 +81,29 @@ def test_what_is_no_plan_is_refused(tmp_path, text):
         read_plan(path)
 
 
+def test_two_trainings_of_the_same_name_are_refused(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("settings: {a: {}, a-b: {}}\nobjects: {b-c: [cup], c: [bowl]}\nseeds: [0]")
+    with pytest.raises(FileError, match=r"plan\.yaml: found 2 trainings with the name a-b-c-seed0"):
+        read_plan(path)
+
+
 @pytest.mark.parametrize(
     ("setting", "said"),
-    [("{ppo.worlds: 3}", r"a-seed0: .*worlds"), ("{no.such.flag: 3}", r"a-seed0: .*no\.such")],
+    [
+        ("{ppo.worlds: 3}", r"a-seed0: .*worlds"),
+        ("{no.such.flag: 3}", r"a-seed0: .*no\.such"),
+        ("{robot: nobody}", r"a-seed0: .*nobody"),
+        ("{start_from: none.npz}", r"a-seed0: none\.npz: found no such file"),
+        ("{ppo.hidden: [8, 8]}", r"a-seed0: --start-from: .*ppo\.hidden"),
+        ("{objects: [muug]}", r"a-seed0: object: found 'muug'"),
+        ("{objects_dir: none}", r"a-seed0: none: found no such folder"),
+        ("{handoffs: none.npz}", r"a-seed0: none\.npz: found no such file"),
+        (
+            f"{{handoffs: {asset_path('handoffs_standins.npz')}, objects: [power_drill]}}",
+            r"a-seed0: --objects: found 'power_drill'.*handoffs_standins",
+        ),
+    ],
 )
 def test_what_train_would_refuse_is_refused_before_anything_starts(tmp_path, setting, said, capfd):
     path, out = tmp_path / "plan.yaml", tmp_path / "out"
@@ -89,6 +111,127 @@ def test_what_train_would_refuse_is_refused_before_anything_starts(tmp_path, set
     with pytest.raises(FileError, match=said):
         tune(TuneConfig(path, out), Console(quiet=True))
     assert not list(out.glob("*"))
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The names of the trainings that would have been run, instead of them."""
+    names = []
+
+    def run_none(config, runs, console):
+        names.extend(run.name for run in runs)
+        return {}
+
+    monkeypatch.setattr(tuning, "run_all", run_none)
+    return names
+
+
+def written(folder, *, command=None, flags=None):
+    """A folder of a training that was begun by a command, and ended with flags if there are any."""
+    if flags is not None:
+        metrics(folder, 0.5, 2.0)
+        write_json(folder / "finished.json", {"flags": flags.split()})
+    if command is not None:
+        write_json(folder / "provenance.json", {"command": command})
+
+
+NEW = "--preset cpu --seed 0 --ppo.iterations 3"
+OLD = "--preset cpu --seed 0 --ppo.iterations 2"
+TRAIN = "python -m mjx_grasp.train"
+BY_RAY = "python default_worker.py --node 1"
+
+
+@pytest.mark.parametrize(
+    ("command", "flags"),
+    [
+        (f"{TRAIN} {OLD} --out x", None),
+        (f"{TRAIN} {OLD} --out x", OLD),
+        (f"{TRAIN} {OLD} --out x", NEW),
+        (BY_RAY, OLD),
+        (None, OLD),
+    ],
+    ids=["unfinished", "finished", "went on under another plan", "by Ray", "flags alone"],
+)
+def test_what_was_begun_with_other_flags_is_refused(tmp_path, started, command, flags):
+    path, out = tmp_path / "plan.yaml", tmp_path / "out"
+    path.write_text("flags: {preset: cpu, ppo.iterations: 3}\nsettings: {a: }\nseeds: [0, 1]")
+    written(out / "a-seed0", command=command, flags=flags)
+    said = r"a-seed0: found .* --ppo\.iterations 2, expected --ppo\.iterations 3, .*another --out"
+    with pytest.raises(FileError, match=said):
+        tune(TuneConfig(path, out), Console(quiet=True))
+    assert not started and not (out / "table.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "flags", "goes_on"),
+    [
+        (f"{TRAIN} {NEW} --out 'a b'", None, True),
+        (f"{TRAIN} {NEW} --out x", NEW, False),
+        (BY_RAY, NEW, False),
+        (None, NEW, False),
+    ],
+)
+def test_what_was_begun_with_the_same_flags_counts(tmp_path, started, command, flags, goes_on):
+    """In whatever order; of a folder that was never opened nothing is known."""
+    path, out = tmp_path / "plan.yaml", tmp_path / "out"
+    path.write_text("flags: {preset: cpu}\nsettings: {a: {ppo.iterations: 3}}\nseeds: [0, 1]")
+    written(out / "a-seed0", command=command, flags=flags)
+    write_json(out / "a-seed1" / "config.json", {})
+    tune(TuneConfig(path, out), Console(quiet=True))
+    assert started == (["a-seed0"] if goes_on else []) + ["a-seed1"]
+
+
+def test_a_training_keeps_with_what_flags_it_was_begun(tmp_path, started, monkeypatch):
+    path, out = tmp_path / "plan.yaml", tmp_path / "out"
+    path.write_text("flags: {preset: cpu, ppo.hidden: [512, 256]}\nsettings: {a: }\nseeds: [0]")
+
+    def open_run(config, console, command):
+        write_json(config.out / "provenance.json", {"command": command})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tuning, "run_training", open_run)
+    (run,) = read_plan(path)
+    with pytest.raises(KeyboardInterrupt):
+        tuning.train(str(out / run.name), list(run.flags), os.getcwd())
+    monkeypatch.setattr(tuning, "refusals", lambda trainings, cwd: [""])
+    tune(TuneConfig(path, out), Console(quiet=True))
+    assert started == ["a-seed0"]
+    path.write_text(path.read_text().replace("256", "128"))
+    with pytest.raises(FileError, match=r"--ppo\.hidden 512 256, expected --ppo\.hidden 512 128"):
+        tune(TuneConfig(path, out), Console(quiet=True))
+
+
+def test_a_cluster_is_asked_for_its_gpus_and_its_workers_do_not_take_all_of_one(
+    tmp_path, monkeypatch
+):
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+
+    def checked(trainings, cwd):
+        import ray
+
+        return [f"asked on GPU {ray.get_gpu_ids()}"] * len(trainings)
+
+    def say(folder, flags, cwd):
+        import ray
+
+        share = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE")
+        Path(folder).write_text(f"{share} {ray.get_gpu_ids()} {os.environ['PYTHONPATH']}")
+
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(tuning, "has_gpu", lambda: False)
+    monkeypatch.setattr(tuning, "refusals", checked)
+    cluster = cluster_utils.Cluster(True, head_node_args={"num_cpus": 1, "num_gpus": 1})
+    try:
+        path = tmp_path / "plan.yaml"
+        path.write_text("settings: {a: }\nseeds: [0]")
+        config = TuneConfig(path, tmp_path, address=cluster.address)
+        with pytest.raises(FileError, match=r"a-seed0: asked on GPU \[0\]"):
+            tune(config, Console(quiet=True))
+        assert not run_all(config, read_plan(path), Console(quiet=True), say)
+    finally:
+        cluster.shutdown()
+    assert (tmp_path / "a-seed0").read_text().startswith(f"false [0] {tmp_path}")
 
 
 def test_without_ray_it_says_what_to_install(plan, monkeypatch):

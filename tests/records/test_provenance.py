@@ -61,6 +61,19 @@ def test_revision_outside_a_checkout_is_the_stamp_or_unknown(tmp_path, monkeypat
     assert module.git_revision() == "abc123"
 
 
+def test_a_repository_that_it_is_installed_in_does_not_say_the_revision(tmp_path, monkeypatch):
+    git(tmp_path, "init", "-q")
+    (tmp_path / "theirs.py").write_text("")
+    git(tmp_path, "add", "theirs.py")
+    git(tmp_path, "commit", "-qm", "somebody else's")
+    packages = tmp_path / ".venv" / "site-packages"
+    packages.mkdir(parents=True)
+    monkeypatch.setattr(module, "_root", lambda: packages)
+    assert module.git_revision() == "unknown"
+    monkeypatch.setattr(module, "_root", lambda: tmp_path)
+    assert module.is_committed(module.git_revision())
+
+
 def test_an_older_repository_in_a_copy_does_not_say_the_revision(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_root", lambda: tmp_path)
 

@@ -27,6 +27,14 @@ def play(rises, displacements, config=SHORT):
     return progress, failure_classes(progress)
 
 
+def test_an_object_that_never_rises_is_no_success_however_short_the_hold():
+    for hold_s in (0.0, 0.004):
+        config = SuccessConfig(hold_s=hold_s)
+        still, _ = play([0.0, 0.05], [0.0, 0.0], config)
+        risen, _ = play([0.0, 0.11], [0.0, 0.0], config)
+        assert not still.success and risen.success
+
+
 def expected_class(rises, displacements, needed=5):
     """Method §7 read out loud."""
     good = [r >= 0.10 and d < 0.03 for r, d in zip(rises, displacements, strict=True)]

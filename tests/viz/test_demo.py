@@ -7,6 +7,7 @@ import handmade
 import mujoco
 import numpy as np
 import pytest
+from rich.console import Console
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
@@ -95,6 +96,54 @@ def test_an_instruction_and_a_point_are_one_too_many():
     with pytest.raises(InputError, match=r"--policy.*none beside --controller grip"):
         DemoConfig(controller="grip", policy=Path("policy.npz"))
     assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers
+
+
+def test_an_anchor_far_from_the_object_is_refused_with_where_that_lies():
+    box = handmade.box()  # ±30, ±20 and ±45 mm: as far away as 45 mm
+    for near in ((0.074, 0.0, 0.0), (0.0, -0.064, 0.089)):
+        np.testing.assert_array_equal(run._place(box, DemoConfig(anchor=near)).point, near)
+    for far in ((0.076, 0.0, 0.0), (0.0, -0.066, 0.0), (0.0, 0.0, 0.091), (20.0, 0.0, 50.0)):
+        with pytest.raises(InputError, match=r"^--anchor: found \(.* near box.*0\.045\]") as error:
+            run._place(box, DemoConfig(anchor=far))
+        assert error.value.found == far and "[m]" in error.value.expected
+
+
+def test_the_place_is_to_blame_where_no_grasp_is_near_it_and_else_the_object(robot):
+    box = handmade.box()
+    surface = heatmap_surface(box.mesh)
+    arrays = np.asarray(surface.vertices), np.asarray(surface.faces)
+    heatmap = compute_heatmap(*arrays, None, (0.02, 0.09), 0.5)
+    config = DemoConfig(anchor=(0.0, 0.0, 0.08), steering="between", sigma=0.002)
+    place = run._place(box, config)
+    with pytest.raises(InputError, match=r"^--anchor: found \(0\.0, 0\.0, 0\.08\).*--sigma"):
+        run._steered(heatmap, place, config, robot.hand)
+    nothing = heatmap._replace(score_without_com=0.0 * heatmap.score)
+    with pytest.raises(InputError, match=r"^object: found"):
+        run._steered(nothing, place, config, robot.hand)
+
+
+def refused(match, **settings):
+    """A demo that is refused and leaves no folder."""
+    with pytest.raises(InputError, match=match):
+        run.run_demo(DemoConfig(out=Path("out"), **settings), Console(quiet=True))
+    assert not Path("out").exists()
+
+
+def test_a_scenario_of_its_own_objects_takes_no_other():
+    refused("^object: found 'mug', expected chips_can, .*side_grasp", object="mug",
+            scenario="side_grasp")  # fmt: skip
+    refused("^--anchor", object="chips_can", scenario="side_grasp", anchor=(20.0, 0.0, 50.0))
+
+
+def test_nothing_is_written_of_an_object_that_cannot_be_grasped(monkeypatch):
+    def void(obj, hand):
+        surface = heatmap_surface(obj.mesh)
+        arrays = np.asarray(surface.vertices), np.asarray(surface.faces)
+        found = compute_heatmap(*arrays, None, (0.02, 0.09), 0.5)
+        return found._replace(score=0.0 * found.score)
+
+    monkeypatch.setattr(run, "heatmap_of", void)
+    refused("^object: found 'rubiks_cube'", object="rubiks_cube")
 
 
 def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_name(robot):

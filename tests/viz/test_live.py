@@ -1,5 +1,8 @@
 """A live grasp without a browser: its physics, its ends, its pace, and the page's own thread."""
 
+import threading
+import time
+from contextlib import contextmanager
 from dataclasses import replace
 
 import handmade
@@ -182,29 +185,101 @@ def test_the_status_says_how_it_stands():
         assert failed.outcome is not None and failed.outcome in status(failed)
 
 
-def test_the_page_runs_one_grasp_after_the_other_without_anybody_looking(live, objects):
+@contextmanager
+def served(live, ready=True):
     need_viser()
     from mjx_grasp.viz.live_viewer import LiveViewer
 
     viewer = LiveViewer(live, heatmap, port=free_port())
     try:
+        if ready:
+            wait(lambda: not viewer.grasp.disabled, 60)
+        yield viewer
+    finally:
+        viewer.close()
+
+
+def test_the_page_runs_one_grasp_after_the_other_without_anybody_looking(live):
+    with served(live) as viewer:
         assert viewer.url.startswith("http://127.0.0.1:")
-        wait(lambda: not viewer.grasp.disabled, 60)
         assert viewer.stop.disabled
         viewer.chosen.value = "lying"  # as from the page, callbacks run
         wait(lambda: live.object_pose[0][2] == pytest.approx(THERE[2]))
         assert viewer.viewer.target.name == "lying"
         where = live.object_pose[0].copy()
-        viewer._jobs.put(viewer._drop)
+        viewer.drop.value = True
         wait(lambda: not np.allclose(live.object_pose[0], where))
-        viewer._jobs.put(viewer._grasp)
-        viewer._jobs.put(viewer._grasp)
+        viewer.grasp.value = True
         wait(lambda: "failed" in viewer._status.content, 60)
         wait(lambda: not viewer.grasp.disabled, 60)
         assert "too few fingers" in viewer._status.content and live.done
-    finally:
-        viewer.close()
+        viewer.drop.value = True
+        wait(lambda: "lying: tick anchor" in viewer._status.content)
+        wait(lambda: not viewer.grasp.disabled)
+        viewer.grasp.value = True
+        wait(lambda: "failed" in viewer._status.content, 60)
     assert not viewer._threads[1].is_alive()
+
+
+def test_a_grasp_that_is_stopped_while_it_is_planned_ends_and_says_so(live, monkeypatch):
+    begun, planned, start = [], threading.Event(), live.start
+
+    def slow(known):
+        begun.append(known)
+        planned.wait(20.0)
+        start(known)
+
+    monkeypatch.setattr(live, "start", slow)
+    with served(live) as viewer:
+        viewer.grasp.value = True
+        wait(lambda: begun)
+        assert "planning" in viewer._status.content
+        viewer.stop.value = True
+        viewer.grasp.value = True  # a second click, which is neither queued nor ends the stop
+        planned.set()
+        wait(lambda: "stopped" in viewer._status.content)
+        wait(lambda: not viewer.grasp.disabled)
+        assert len(begun) == 1 and live.done and live.last is None
+        viewer.grasp.value = True
+        wait(lambda: "failed" in viewer._status.content, 60)
+        assert len(begun) == 2
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_why_it_cannot_be_prepared_stays_on_the_page(live, monkeypatch):
+    def failing(known, tell):
+        tell("compiling the planner")
+        time.sleep(1.5)
+        raise RuntimeError("no such device")
+
+    monkeypatch.setattr(live, "prepare", failing)
+    with served(live, ready=False) as viewer:
+        wait(lambda: "compiling the planner, 1 s" in viewer._status.content)
+        wait(lambda: "no such device" in viewer._status.content)
+        time.sleep(1.5)
+        assert "RuntimeError: no such device" in viewer._status.content
+        viewer.drop.value = True
+        wait(lambda: "standing: RuntimeError" in viewer._status.content)
+        assert viewer.grasp.disabled
+
+
+def test_that_it_is_ready_stays_on_the_page(live, monkeypatch):
+    need_viser()
+    from mjx_grasp.viz.live_viewer import LiveViewer
+
+    say = LiveViewer._say
+
+    def slow(viewer, text):
+        if " s; " in text:  # how long it has taken, which comes late
+            time.sleep(1.4)
+        say(viewer, text)
+
+    monkeypatch.setattr(LiveViewer, "_say", slow)
+    monkeypatch.setattr(live, "prepare", lambda known, tell: time.sleep(1.1))
+    with served(live) as viewer:
+        for _ in range(20):
+            assert "ready: " in viewer._status.content
+            time.sleep(0.1)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1"])

@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,8 +28,11 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, save_heatmap
 from mjx_grasp.language.grounding import target_of
+from mjx_grasp.objects.catalogue import Part
 from mjx_grasp.viz.viewer_state import ViewerSettings
 from mjx_grasp.viz.viewing import check_host
+
+HANDLE = Part((0.0, 0.0, 0.04), (0.06, 0.04, 0.08))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +40,9 @@ def stored():
     mesh = trimesh.creation.box(extents=(0.06, 0.04, 0.16)).subdivide_to_size(0.03)
     heatmap = compute_heatmap(mesh.vertices, mesh.faces, None, (0.02, 0.09), 0.5)
     info = HeatmapInfo("box", (0.02, 0.09), 0.5, (0.0, 0.0, 0.0))
-    return StoredHeatmap(heatmap, np.asarray(mesh.faces), info), target_of("box", mesh)
+    return StoredHeatmap(heatmap, np.asarray(mesh.faces), info), target_of(
+        "box", mesh, {"handle": HANDLE}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +98,19 @@ def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_fac
         page.screenshot(path=os.path.join(folder, "viewer.png"))
 
 
+def test_the_width_of_a_named_part_holds_for_that_part_alone(viewer, page):
+    field, sigma = control(page, "go to"), number(page, "sigma [mm]")
+    field.fill("by the handle")
+    field.press("Enter")
+    wait(lambda: float(sigma.input_value()) == 5.0)
+    assert viewer.settings.anchor == pytest.approx(HANDLE.at)
+    tip = np.array([0, 0, HANDLE.at[2] + 0.6 * viewer.anchor.scale])
+    drag(page, *(on_screen(viewer.server, tip - [0, 0, down]) for down in (0.0, 0.03)))
+    wait(lambda: viewer.settings.anchor[2] < 0.03)
+    wait(lambda: float(sigma.input_value()) == 30.0)
+    assert viewer.settings.sigma is None
+
+
 def test_the_panel_changes_sigma_triples_and_place(viewer, page):
     field = control(page, "go to")
     field.fill("the bottom")
@@ -107,6 +127,48 @@ def test_the_panel_changes_sigma_triples_and_place(viewer, page):
     sigma.press("Enter")
     wait(lambda: viewer.settings.sigma == pytest.approx(0.005))
     wait(lambda: viewer.shown.best < before)
+
+
+@contextmanager
+def served(stored, target=None, **settings):
+    need_viser()
+    from mjx_grasp.viz.viewer import Viewer
+
+    made = Viewer(stored[0], target or stored[1], ViewerSettings(**settings), port=free_port())
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_width_of_ones_own_holds_until_the_object_changes(stored):
+    with served(stored) as viewer:
+        viewer.sigma.value = 12.0  # as from the page, callbacks run
+        viewer.instruction.value = "by the handle"
+        viewer.steered.value = False
+        assert viewer.settings.sigma == pytest.approx(0.012) and viewer.sigma.value == 12.0
+        viewer.change(*stored)
+        assert viewer.settings.sigma is None and viewer.sigma.value == 30.0
+
+
+@pytest.mark.parametrize("millimetres", [0.04, 100.0])
+def test_any_width_can_be_asked_for(stored, millimetres):
+    with served(stored, sigma=1e-3 * millimetres) as viewer:
+        assert viewer.sigma.value == pytest.approx(millimetres)
+        assert 0 < viewer.sigma.min <= 1.0 and viewer.sigma.max >= 60.0
+        viewer.sigma.value = 20.0
+        assert viewer.settings.sigma == pytest.approx(0.02)
+        viewer.change(*stored)
+        assert viewer.settings.sigma == 1e-3 * millimetres
+        assert viewer.sigma.value == pytest.approx(millimetres)
+
+
+def test_the_slider_reaches_the_width_of_a_large_part(stored):
+    large = replace(stored[1], parts={"handle": HANDLE._replace(size=(0.8, 0.8, 0.8))})
+    with served(stored, large) as viewer:
+        viewer.instruction.value = "by the handle"
+        assert viewer.sigma.value == viewer.sigma.max == pytest.approx(100.0)
+        assert viewer.settings.sigma is None
 
 
 def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):

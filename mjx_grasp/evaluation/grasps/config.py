@@ -35,7 +35,8 @@ class GraspsConfig(ObjectsConfig):
     scenarios: tuple[str, ...] = ("all",)
     """scenarios by name, all of them, or files of your own (.yaml)"""
     episodes: Count = 8
-    """of each object in each scenario [-]"""
+    """of each object in each scenario; one that names objects of its own has as many trials in all,
+    shared among those, at least one of each [-]"""
     seed: Seed = 0
     """of the poses, the plans and what happens"""
     policy: Path | None = None

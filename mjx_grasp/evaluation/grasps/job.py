@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.errors import FileError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.blocks import Block, joined
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
@@ -45,6 +45,17 @@ class _Grasps:
         self.file = closing_policy(config.controller, config.policy, robot)
         self.makers = Makers(config, robot)
         self._config, self._progress = config, progress
+
+    def check(self, name: str, scenario: Scenario, blocks: Sequence[Block]) -> None:
+        """Refuses a scenario before anything long starts.
+
+        Raises:
+            InputError, FileError: It cannot work.
+        """
+        try:
+            self.makers.check(scenario, self._make, blocks)
+        except InputError as error:
+            raise InputError(f"{name}: {error.field}", error.found, error.expected) from None
 
     def block(self, job: tuple[Scenario, Block]) -> dict[str, Any]:
         """What came of a block of a scenario."""
@@ -81,10 +92,10 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
         header = {"schema": SCHEMA, "config": to_record(unspread(config))}
         header |= {"sha256": file_digests(policy=own.file)}
         done = _before(config.out, header, made["git"], about)
-        for scenario in scenarios.values():
-            own.makers.objects(scenario)  # refuses before anything long starts
         blocks = own.makers.blocks()
         left = [name for name in scenarios if name not in done]
+        for name in left:
+            own.check(name, scenarios[name], blocks)
         jobs = [
             (f"{name}, block {block.number}", (scenarios[name], block))
             for name in left

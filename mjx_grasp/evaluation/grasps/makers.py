@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -11,8 +11,9 @@ from mjx_grasp.evaluation.grasps.blocks import Block, blocks_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import grasp_all, home_tips
+from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all, home_tips
 from mjx_grasp.evaluation.grasps.scenario import Scenario
+from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.grasper import Grasper
@@ -34,7 +35,8 @@ class Makers:
 
     config: GraspsConfig
     robot: RobotSpec
-    _graspers: dict[Any, tuple[Grasper, Library | None]] = field(default_factory=dict)
+    _graspers: dict[Any, Grasper] = field(default_factory=dict)
+    _libraries: dict[Any, Library | None] = field(default_factory=dict)
     _worlds: dict[Any, NativePhysics] = field(default_factory=dict)
     _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
     _known: dict[Any, list[Known]] = field(default_factory=dict)
@@ -47,6 +49,17 @@ class Makers:
         """
         config = self.config
         return blocks_of(config.episodes, len(self.objects(Scenario())), config.seed)
+
+    def check(self, scenario: Scenario, make: MakeGrasper, blocks: Sequence[Block]) -> None:
+        """Refuses a scenario before anything long starts; arguments as of `run`.
+
+        Raises:
+            InputError, FileError: Its objects, its controller or its poses cannot be had.
+        """
+        self.grasper(make, scenario)
+        self.known(scenario)
+        for block in blocks:
+            self.problem(scenario, make, block)
 
     def block(
         self,
@@ -76,32 +89,48 @@ class Makers:
             progress: Told which share of the longest possible time is done.
 
         Raises:
-            InputError: The objects cannot be had, or not be grasped.
+            InputError: The objects cannot be had, not be grasped, or not lie where they are to.
         """
-        objects, known = self.objects(scenario), self.known(scenario)
-        grasper, library = self.grasper(make, scenario)
-        # As many trials where a scenario names fewer objects: the compiled functions are shared.
-        trials = block.episodes * len(self.objects(Scenario())) // len(objects)
-        away = Away(home_tips(grasper), scenario.away) if scenario.away else None
-        problem = draw_problem(objects, trials, block.seed, away=away)
+        known, problem = self.known(scenario), self.problem(scenario, make, block)
+        grasper, library = self.grasper(make, scenario), self.library(make, scenario)
         end, trace = grasp_all(
             grasper, library, self.world(scenario, grasper.dt), known_of(known, problem), problem,
             scenario, block.seed, progress,
         )  # fmt: skip
-        names = [obj.name for obj in objects]
+        names = [obj.name for obj in self.objects(scenario)]
         return grasp_rows(names, problem, end, trace, grasper.dt, scenario.hold_s)
 
-    def grasper(self, make: MakeGrasper, scenario: Scenario) -> tuple[Grasper, Library | None]:
-        """A controller for a scenario, and where its planner starts, if it has one."""
+    def problem(self, scenario: Scenario, make: MakeGrasper, block: Block) -> GraspProblem:
+        """The poses of a block of a scenario; arguments as of `run`.
+
+        Raises:
+            InputError: The objects cannot be had, or not lie as far away as they are to.
+        """
+        objects = self.objects(scenario)
+        # As many trials where a scenario names its own: the compiled functions are shared.
+        trials = max(1, block.episodes * len(self.objects(Scenario())) // len(objects))
+        away = None
+        if scenario.away:
+            away = Away(home_tips(self.grasper(make, scenario)), scenario.away)
+        return draw_problem(objects, trials, block.seed, away=away)
+
+    def grasper(self, make: MakeGrasper, scenario: Scenario) -> Grasper:
+        """A controller for a scenario."""
         key = make, scenario.table_height, scenario.approach
         if key not in self._graspers:
-            grasper = make(self.robot.mounted(-scenario.table_height), scenario.approach)
-            planner = grasper.planner
-            library = None
-            if planner is not None:
-                library = start_library(grasper.reacher.body, planner.config)
-            self._graspers[key] = grasper, library
+            robot = self.robot.mounted(-scenario.table_height)
+            self._graspers[key] = make(robot, scenario.approach)
         return self._graspers[key]
+
+    def library(self, make: MakeGrasper, scenario: Scenario) -> Library | None:
+        """Where that controller's planner starts; None without one."""
+        key = make, scenario.table_height, scenario.approach
+        if key not in self._libraries:
+            grasper = self.grasper(make, scenario)
+            planner, body = grasper.planner, grasper.reacher.body
+            found = None if planner is None else start_library(body, planner.config)
+            self._libraries[key] = found
+        return self._libraries[key]
 
     def objects(self, scenario: Scenario) -> list[ObjectModel]:
         """The objects of a scenario.
@@ -109,11 +138,14 @@ class Makers:
         Raises:
             InputError, FileError: There are none such.
         """
-        config, names = self.config, scenario.objects or self.config.objects
-        if names not in self._objects:
-            models = load_objects(names, config.objects_dir, weight=config.weight)
-            self._objects[names] = list(models)
-        return self._objects[names]
+        config, own = self.config, scenario.objects
+        if own not in self._objects:
+            # The user's weight is of meshes: a scenario that names none does not ask for it.
+            weighed = not own or any(each.file is not None for each in find_objects(own))
+            weight = config.weight if weighed else None
+            models = load_objects(own or config.objects, config.objects_dir, weight=weight)
+            self._objects[own] = list(models)
+        return self._objects[own]
 
     def known(self, scenario: Scenario) -> list[Known]:
         """What is known of each of them.
@@ -121,13 +153,14 @@ class Makers:
         Raises:
             InputError: One of them cannot be grasped.
         """
-        names = scenario.objects or self.config.objects
-        if names not in self._known:
-            objects = self.objects(scenario)
-            self._known[names] = [known_object(obj, self.robot) for obj in objects]
-            for obj, of in zip(objects, self._known[names], strict=True):
-                check_graspable(obj.name, float(of.candidates.score.max()), self.robot.hand)
-        return self._known[names]
+        if scenario.objects not in self._known:
+            found = []
+            for obj in self.objects(scenario):
+                found.append(known_object(obj, self.robot))
+                best = float(found[-1].candidates.score.max())
+                check_graspable(obj.name, best, self.robot.hand)
+            self._known[scenario.objects] = found
+        return self._known[scenario.objects]
 
     def world(self, scenario: Scenario, dt: float) -> NativePhysics:
         """The simulated worlds of a scenario's trials.

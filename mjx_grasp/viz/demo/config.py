@@ -25,7 +25,7 @@ class DemoConfig(CommandSettings):
     instruction: str | None = None
     """which part or side of it: "by the cap"; by default anywhere good"""
     anchor: tuple[Finite, Finite, Finite] | None = None
-    """or the point itself, object frame [m]"""
+    """or the point itself, in the object frame: axes of the mesh, from the middle of its box [m]"""
     steering: Steering = "contacts"
     """what has to be near that: all three contacts, the grasp's axis (the publication's formula),
     or the middle of the grasp, between the contacts"""

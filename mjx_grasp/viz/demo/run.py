@@ -22,12 +22,13 @@ from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all, home_tips
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
-from mjx_grasp.evaluation.grasps.scenario import NOMINAL, load_scenarios
+from mjx_grasp.evaluation.grasps.scenario import NOMINAL, Scenario, load_scenarios
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
@@ -47,6 +48,7 @@ from mjx_grasp.viz.rendering import RenderError, VideoConfig, render_in_subproce
 SCHEMA = "mjx_grasp.demo/1"
 _STEPS = 6
 _BRIGHTEST = 0.99
+_FARTHEST = 0.5  # an anchor from the object's box, of the object's largest extent
 
 
 class Steered(NamedTuple):
@@ -96,6 +98,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     """
     check_new_folder("--out", config.out)
     ((name, scenario),) = load_scenarios([config.scenario]).items()
+    _check_object(config.object, name, scenario)
     made = provenance(config.seed)
     robot = load_robot(config.robot).mounted(-scenario.table_height)
     file = closing_policy(config.controller, config.policy, robot)
@@ -104,7 +107,6 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     place = _place(obj, config)
-    config.out.mkdir(parents=True, exist_ok=True)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
         with clock.step("heatmap"):
@@ -124,6 +126,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt, scenario.hold_s)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)
+        config.out.mkdir(parents=True, exist_ok=True)
         with clock.step("film"):
             skin = _skin(obj, steered, contacts, end.obstacles[0])
             problem_of_film = _film(scene, skin, trace, grasper.dt, config.out)
@@ -153,6 +156,13 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     return result
 
 
+def _check_object(asked: str, name: str, scenario: Scenario) -> None:
+    """Refuses an object that a scenario is not of."""
+    if scenario.objects and not set(resolve([asked])) <= set(resolve(scenario.objects)):
+        own = ", ".join(scenario.objects)
+        raise InputError("object", asked, f"{own}, as the scenario {name} is of that alone")
+
+
 def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
     found = tuple(objects)
     if len(found) != 1:
@@ -167,7 +177,13 @@ def _title(obj: ObjectModel, steered: Steered, happens: str | None) -> str:
 
 def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
     if config.anchor is not None:
-        return Anchor(np.asarray(config.anchor, np.float64), "by a point")
+        point, (low, high) = np.asarray(config.anchor, np.float64), obj.mesh.bounds
+        margin = _FARTHEST * float(obj.mesh.extents.max())
+        if (point < low - margin).any() or (point > high + margin).any():
+            lies = " to ".join(str(np.round(corner, 3).tolist()) for corner in (low, high))
+            near = f"a point [m] near {obj.name}, which lies within {lies}"
+            raise InputError("--anchor", config.anchor, near)
+        return Anchor(point, "by a point")
     if config.instruction is None:
         return None
     target = target_of(obj.name, obj.mesh, obj.parts)
@@ -178,8 +194,13 @@ def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
 def _steered(heatmap: Heatmap, place: Anchor | None, config: DemoConfig, hand: HandSpec) -> Steered:
     score, anchor, source = heatmap.score, None, "anywhere good"
     if place is not None:
+        check_graspable(config.object, float(jnp.max(heatmap.score_without_com)), hand)
         anchor, source = place.point, place.source
         score = steer_to(heatmap, anchor, place.size, config.sigma, config.steering)
+        if not score.any():  # all too far away for its numbers
+            asked = config.instruction if config.anchor is None else config.anchor
+            field = "--instruction" if config.anchor is None else "--anchor"
+            raise InputError(field, asked, "a place nearer to a grasp, or a larger --sigma")
     best = float(jnp.max(score))
     check_graspable(config.object, best, hand)
     # Far from the middle of the object all scores are low: what counts is which is the best.

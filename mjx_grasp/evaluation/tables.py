@@ -198,10 +198,17 @@ def failure_table(condition: Condition, columns: Sequence[Column]) -> Table:
 
 
 def _meshes_of(results: Results) -> str:
-    """Scans come from a folder that the command names."""
+    """Scans come from a folder that the settings name, in older files the command alone."""
     if any("." in row.object for row in results.rows):  # meshes of the user
         return ""
-    return _MESHES["--objects-dir" in str(results.provenance["command"])]
+    settings = results.extra.get("settings", {})
+    if "scans" in results.extra:
+        scans = bool(results.extra["scans"])
+    elif "objects_dir" in settings:
+        scans = settings["objects_dir"] is not None
+    else:
+        scans = "--objects-dir" in str(results.provenance["command"])
+    return _MESHES[scans]
 
 
 def _draws_of(results: Results, path: Path) -> tuple[str, ...]:

@@ -83,7 +83,8 @@ def evaluate_run(
     robot = scene.robot.identity
     adds_to_squeeze = alone is task and not answers_to_load(task)
     untrained = {"untrained_n": task.grip.force} if adds_to_squeeze else {}
-    write_results(base.out, rows, made, robot, label=label, **untrained, **counted)
+    of = {"label": label, "scans": config.scans}
+    write_results(base.out, rows, made, robot, **of, **untrained, **counted)
     console.print(success_table(rows, scans=config.scans))
     for force in untrained.values():
         console.print(untrained_note(force))

@@ -110,6 +110,22 @@ def test_files_are_sorted_into_conditions(tmp_path):
     assert cells(failures, "never lifted")[1:] == ("10.0", "30.0", "50.0", "4.9", "23.8")
 
 
+@pytest.mark.parametrize(
+    ("command", "extra", "meshes"),
+    [
+        ("train --resume runs/a", {"scans": True}, "real scans"),
+        ("train --objects_dir=SCANS", {"settings": {"objects_dir": "SCANS"}}, "real scans"),
+        ("a script of --objects-dir", {"scans": False}, "parametric stand-ins"),
+        ("evaluate --objects-dir SCANS", {}, "real scans"),
+    ],
+)
+def test_what_objects_were_made_of_is_in_the_file(tmp_path, command, extra, meshes):
+    made = PROVENANCE | {"command": f"python -m mjx_grasp.{command}"}
+    write_results(tmp_path / "a.json", eight(9), made, FIRST_ROBOT, **extra)
+    (condition,) = read_groups([tmp_path / "a.json"])
+    assert condition.meshes == meshes
+
+
 def test_two_files_may_not_claim_the_same_outcome(tmp_path):
     write_results(tmp_path / "a.json", eight(9), PROVENANCE, FIRST_ROBOT)
     write_results(tmp_path / "b.json", eight(5), PROVENANCE, FIRST_ROBOT)

@@ -6,6 +6,7 @@ import csv
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TextIO
+from uuid import uuid4
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.atomic import replacing
@@ -112,6 +113,12 @@ def require_wandb(project: str | None) -> None:
 
 
 def _wandb_run(project: str, folder: Path, config: dict[str, Any] | None) -> Any:
+    """The folder's run there: a resumed training goes on with its curves."""
     import wandb
 
-    return wandb.init(project=project, dir=str(folder), config=config, resume="allow")
+    known = folder / "wandb_id"
+    if not known.exists():
+        with replacing(known) as temporary:
+            temporary.write_text(uuid4().hex)
+    which = {"id": known.read_text(), "resume": "allow"}
+    return wandb.init(project=project, dir=str(folder), config=config, **which)

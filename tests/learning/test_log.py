@@ -87,12 +87,21 @@ def test_a_project_of_wandb_gets_the_configuration_and_every_row(tmp_path, wandb
         log.write(line)
     assert wandb.finished == 0
     log.close()
-    assert wandb.begun == [
-        {"project": "grasping", "dir": str(tmp_path), "config": {"seed": 3}, "resume": "allow"}
-    ]
+    (begun,) = wandb.begun
+    assert len(begun.pop("id")) == 32
+    asked = {"project": "grasping", "dir": str(tmp_path), "config": {"seed": 3}}
+    assert begun == asked | {"resume": "allow"}
     assert wandb.logged == [(line, line["env_steps"]) for line in lines]
     assert wandb.finished == 1
     assert rows(tmp_path) == [(1, 2.0), (2, 4.0)]  # beside the CSV, not instead of it
+
+
+def test_a_resumed_run_goes_on_with_its_curves_in_wandb(tmp_path, wandb):
+    for folder in (tmp_path / "a", tmp_path / "a", tmp_path / "b"):
+        folder.mkdir(exist_ok=True)
+        MetricLog(folder, COLUMNS, wandb_project="grasping").close()
+    first, again, other = (begun["id"] for begun in wandb.begun)
+    assert first == again != other
 
 
 def test_without_a_project_wandb_is_left_alone(tmp_path, wandb):

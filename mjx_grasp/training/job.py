@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 from rich.console import Console
@@ -26,7 +26,8 @@ from mjx_grasp.learning.policy import Policy, policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import train_loop
 from mjx_grasp.learning.warm_start import begin_from
-from mjx_grasp.objects.catalogue import resolve
+from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
+from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
@@ -70,19 +71,17 @@ def run_training(
     folder = _run_folder(config)
     console = console if devices.writes else Console(quiet=True)
     resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
-    robot = load_robot(config.robot)
-    start = start_policy(config, robot)
-    stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
+    robot, start, stored = given_to(config)
     _check_same_files(config)
     _check_same_terms(config, extra_terms)
-    if stored is not None:
-        _trainable(resolve(config.objects), stored)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
     config = replace(config, ppo=_fit_worlds(config, scene, devices), fit_memory=False)
     world = None if stored is None else _build(scene, stored, config, console)
     devices.wait("every process has looked at the folder")
-    if devices.writes:
+    if devices.writes and config.resume is None:
         _open_run(config, folder, stored, command, extra_terms)
+    elif devices.writes:
+        _note_resumed(folder, provenance(config.seed, command))
     try:
         if stored is None or world is None:
             try:
@@ -101,6 +100,34 @@ def run_training(
             again = f"the script that gave the extra terms, with resume={str(folder)!r}"
         raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
     return folder
+
+
+class Given(NamedTuple):
+    """What a training is begun with."""
+
+    robot: RobotSpec
+    start: Policy | None
+    """the policy that it begins with"""
+    handoffs: HandoffSet | None
+    """its start states, where they are not made first"""
+
+
+def given_to(config: TrainConfig) -> Given:
+    """What a configuration names, looked at: what cannot work is refused in less than a second.
+
+    Raises:
+        InputError, FileError: A robot, policy, scan or start states that cannot be had or do not
+            belong together.
+    """
+    robot = load_robot(config.robot)
+    start = start_policy(config, robot)
+    for each in find_objects(config.objects):
+        if config.objects_dir is not None and each.file is None:
+            find_scan(config.objects_dir, load_catalogue()[each.name].scan_names)
+    stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
+    if stored is not None:
+        _trainable(resolve(config.objects), stored)
+    return Given(robot, start, stored)
 
 
 def _run(
@@ -243,20 +270,7 @@ def _open_run(
     command: str | None,
     extra_terms: Sequence[RewardTerm],
 ) -> None:
-    """Writes the configuration and the provenance of a new run to its folder.
-
-    Of a resumed one it notes what else it was made by: another revision, other versions, another
-    device.
-    """
-    made = provenance(config.seed, command)
-    if config.resume is not None:
-        path = folder / "provenance.json"
-        began = read_json(path, "the provenance of the run to resume")
-        resumed = began.get("resumed", [])
-        last = resumed[-1] if resumed else began
-        if any(made[name] != last.get(name) for name in ("git", "versions", "device")):
-            write_json(path, began | {"resumed": [*resumed, made]})
-        return
+    """Writes the configuration and the provenance of a new run to its folder."""
     digests = file_digests(handoffs=config.handoffs, start_from=start_file(config))
     made_of: dict[str, Any] = {"sha256": digests}
     made_of["extra_terms"] = [term.name for term in extra_terms]
@@ -267,9 +281,19 @@ def _open_run(
     else:
         kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
-    contents = (to_record(config), made | made_of)
+    contents = (to_record(config), provenance(config.seed, command) | made_of)
     for name, content in zip(_OPENING, contents, strict=True):
         write_json(folder / name, content)
+
+
+def _note_resumed(folder: Path, made: dict[str, Any]) -> None:
+    """Adds to a run's provenance what goes on with it, where that is not what began it."""
+    path = folder / "provenance.json"
+    began = read_json(path, "the provenance of the run to resume")
+    resumed = began.get("resumed", [])
+    last = resumed[-1] if resumed else began
+    if any(made[name] != last.get(name) for name in ("git", "versions", "device")):
+        write_json(path, began | {"resumed": [*resumed, made]})
 
 
 def _discard_run(folder: Path) -> None:

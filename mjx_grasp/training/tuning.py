@@ -27,18 +27,12 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
-from mjx_grasp.handoff.dataset import load_handoffs
-from mjx_grasp.handoff.states import eligible
-from mjx_grasp.objects.catalogue import find_objects, load_catalogue
-from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
-from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
-from mjx_grasp.training.job import run_training
-from mjx_grasp.training.start import start_policy
+from mjx_grasp.training.job import given_to, run_training
 
 SCHEMA = "mjx_grasp.tune/1"
 _COMMAND = ("python", "-m", "mjx_grasp.train")
@@ -246,20 +240,7 @@ def refusals(trainings: Sequence[list[str]], cwd: str) -> list[str]:
 
 def _refusal(flags: list[str]) -> str:
     try:
-        asked = parse(flags)
-        robot = load_robot(asked.robot)
-        start_policy(asked, robot)
-        objects = find_objects(asked.objects)
-        if asked.objects_dir is not None:
-            known = load_catalogue()
-            for each in objects:
-                if each.file is None:
-                    find_scan(asked.objects_dir, known[each.name].scan_names)
-        if asked.handoffs is not None:
-            names = [each.name for each in objects]
-            if not eligible(names, load_handoffs(asked.handoffs, robot=robot))[0]:
-                expected = f"objects with pre-grasps in {asked.handoffs}"
-                raise InputError("--objects", ", ".join(names), expected)
+        given_to(parse(flags))
     except MjxGraspError as error:
         return str(error)
     except SystemExit:  # of the parser, which has said why

@@ -19,6 +19,16 @@ class ServoConfig(Settings):
 
 
 @dataclass(frozen=True)
+class PoseFilterConfig(Settings):
+    """How the readings of a tracker are smoothed, as far as they jitter."""
+
+    acceleration: Positive = 0.5
+    """how quickly an object may change its velocity: the less, the smoother and the later [m/s²]"""
+    turning: Positive = 5.0
+    """and its angular velocity [rad/s²]"""
+
+
+@dataclass(frozen=True)
 class GrasperConfig(Settings):
     """When a grasp goes from one phase to the next."""
 
@@ -44,3 +54,5 @@ class GrasperConfig(Settings):
     """from the start to the end of the lift [s]"""
     servo: ServoConfig = ServoConfig()
     """of the joints"""
+    pose: PoseFilterConfig = PoseFilterConfig()
+    """of the object"""

@@ -35,6 +35,7 @@ from mjx_grasp.grasp.targets import three_normals, three_points
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.phases import Failure, Phase
+from mjx_grasp.pipeline.pose_filter import estimated, start_estimate
 from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
 from mjx_grasp.pipeline.state import (
     ClosingMemory,
@@ -45,6 +46,7 @@ from mjx_grasp.pipeline.state import (
     Seen,
     Tried,
     Ways,
+    smoothed,
     to_object,
     to_world,
 )
@@ -151,6 +153,7 @@ class Grasper:
             returns=jnp.int32(0),
             retries=jnp.int32(0),
             avoid=jnp.full(3, jnp.inf, jnp.float32),
+            pose=start_estimate(seen.p_wo, seen.R_wo),
             reach=self._start_reach(measured, known, seen, ways),
             ways=ways,
             reference=measured.q,
@@ -174,7 +177,8 @@ class Grasper:
             known: The object.
             seen: Where it is now, what touches, what is in the way.
         """
-        state = state._replace(clock=state.clock + self.dt)
+        pose = estimated(state.pose, seen.p_wo, seen.R_wo, self.dt, self.config.pose)
+        state, seen = state._replace(clock=state.clock + self.dt, pose=pose), smoothed(seen, pose)
         parts = (self._reach, self._close, self._close, self._close, self._stop)
         after, done = jax.lax.switch(state.phase, parts, state, measured, known, seen)
         after = self._begun_again(state, after, measured, known, seen)
@@ -224,6 +228,7 @@ class Grasper:
             seen.R_wo,
             seen.obstacles,
             None if state.ways is None else state.ways.plans,
+            state.pose.twist,
         )
         reference, target = follow_velocity(
             state.reference, measured.q, done.velocity, self.dt, self.servos, self.config.servo

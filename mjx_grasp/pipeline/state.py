@@ -12,6 +12,7 @@ from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import turned, turned_back
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.pipeline.pose_filter import PoseEstimate
 from mjx_grasp.reaching.controller import Plans, ReachState
 
 
@@ -106,6 +107,8 @@ class GraspState(NamedTuple):
     """of them, after a grasp that failed"""
     avoid: Float[Array, " 3"]
     """thumb contact of that grasp, object frame, +inf before the first [m]"""
+    pose: PoseEstimate
+    """of the object"""
     reach: ReachState
     ways: Ways | None
     """ways to grasp the object; none without a planner"""
@@ -133,6 +136,11 @@ class GraspTick(NamedTuple):
     """the three points that the hand goes for, world frame"""
     tip_error: Float[Array, " 3"]
     """while reaching, tip frames to their standoff targets; then pads to their contacts [m]"""
+
+
+def smoothed(seen: Seen, pose: PoseEstimate) -> Seen:
+    """What is perceived, with the object where it is estimated to be."""
+    return seen._replace(p_wo=pose.p_wo, R_wo=pose.R_wo)
 
 
 def to_object(points: ThreePoints, seen: Seen) -> ThreePoints:

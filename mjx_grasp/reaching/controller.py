@@ -133,6 +133,8 @@ class Aim(NamedTuple):
     """the robot"""
     around: Surroundings
     """object and obstacles"""
+    moves: Bool[Array, ""]
+    """whether the object does"""
     targets: Targets
     """the three-point interface"""
     selection: SelectionState
@@ -243,6 +245,7 @@ class Reacher:
         R_wo: Float[Array, "3 3"],
         obstacles: Float[Array, "k 4"],
         plans: Plans | None = None,
+        twist: Float[Array, " 6"] | None = None,
     ) -> tuple[ReachState, ReachTick]:
         """One control period; the command is zero once the reach has ended.
 
@@ -255,8 +258,10 @@ class Reacher:
             R_wo: Object rotation now.
             obstacles: Spheres to avoid: centre in world and radius, [m].
             plans: As at the start.
+            twist: The object's, where it is better known than from its last two poses: velocity of
+                its origin and angular velocity, world, [m/s] and [rad/s].
         """
-        aim = self.aim(state, q, shape, candidates, p_wo, R_wo, obstacles, plans)
+        aim = self.aim(state, q, shape, candidates, p_wo, R_wo, obstacles, plans, twist)
         done = command(self.body, self.config, q, aim.goals, aim.around, state.memory)
         return self._after(state, q, aim, done, candidates, plans)
 
@@ -271,13 +276,15 @@ class Reacher:
         R_wo: Float[Array, "3 3"],
         obstacles: Float[Array, "k 4"],
         plans: Plans | None = None,
+        twist: Float[Array, " 6"] | None = None,
     ) -> Aim:
         """What :meth:`tick` goes for, of the same arguments."""
         dt, most = self.config.controller.dt, self.config.limits.object_speed
         motion = self.body.kinematics.motion(q)
-        twist = _twist(state, p_wo, R_wo, dt, most)
+        twist = _twist(state, p_wo, R_wo, dt) if twist is None else twist
+        moves = (norm(twist[:3]) + norm(twist[3:])) * dt > _STILL
         drift = _velocity(state.obstacles, obstacles, dt, most)
-        around = Surroundings(shape, p_wo, R_wo, twist, obstacles, drift)
+        around = Surroundings(shape, p_wo, R_wo, _likely(twist, most), obstacles, drift)
         if plans is not None:
             candidates = self._with_planned(candidates, plans, state.plan)
         targets, selection = select(
@@ -290,7 +297,7 @@ class Reacher:
             tracked = track(self.body, guide, state.guide_q, p_wo, R_wo, self.config.guide)
         wanted, left = follow(guide, tracked, state.left, motion, around, self.config.guide, dt)
         goals = Goals(tips, pad_goals(tips), wanted)
-        return Aim(motion, around, targets, selection, goals, tracked.q, left)
+        return Aim(motion, around, moves, targets, selection, goals, tracked.q, left)
 
     def _after(
         self,
@@ -307,8 +314,7 @@ class Reacher:
         around, targets, guide = aim.around, aim.targets, aim.goals.guide
         running = state.outcome == ReachOutcome.RUNNING
         velocity = jnp.where(running & targets.valid, velocity, 0.0)
-        turn = norm(so3.log(around.R_wo @ state.R_wo.T))
-        moves = norm(around.p_wo - state.p_wo) + turn > _STILL
+        moves = aim.moves
         state = state._replace(
             selection=aim.selection,
             memory=memory._replace(command=velocity),
@@ -451,13 +457,16 @@ def is_ready(
 
 
 def _twist(
-    state: ReachState, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], dt: float, most: float
+    state: ReachState, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"], dt: float
 ) -> Float[Array, " 6"]:
-    """The object's twist from its last two poses, [m/s] and [rad/s]; none in a jump."""
-    linear = (p_wo - state.p_wo) / dt
-    angular = so3.log(R_wo @ state.R_wo.T) / dt
-    jumps = (norm(linear) > most) | (norm(angular) > 10.0 * most)
-    return jnp.where(jumps, 0.0, jnp.concatenate([linear, angular]))
+    """The object's twist from its last two poses, [m/s] and [rad/s]."""
+    return jnp.concatenate([p_wo - state.p_wo, so3.log(R_wo @ state.R_wo.T)]) / dt
+
+
+def _likely(twist: Float[Array, " 6"], most: float) -> Float[Array, " 6"]:
+    """A twist, or none in a jump."""
+    jumps = (norm(twist[:3]) > most) | (norm(twist[3:]) > 10.0 * most)
+    return jnp.where(jumps, 0.0, twist)
 
 
 def _velocity(

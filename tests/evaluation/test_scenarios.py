@@ -273,12 +273,24 @@ def test_the_force_is_that_until_a_trial_is_over():
     assert row_of(rise, force=force).force_mean_n > 10.0
 
 
-def row_of(rise, hit=False, success=True, top=1.0, hold_s=1.0, force=None, over=None):
+@pytest.mark.wrong_types
+def test_the_force_is_that_of_lift_and_hold_not_of_reaching_anew():
+    rise, force = np.full(1200, 0.12), np.full((1200, 1, 3), 2.0)
+    force[200:400], force[20:50] = 0.0, 30.0
+    row = row_of(rise, force=force, lost=slice(200, 400))
+    assert row.force_mean_n == 2.0 and row.force_peak_n == 30.0
+    assert row_of(rise, force=force).force_mean_n < 1.9
+
+
+def row_of(
+    rise, hit=False, success=True, top=1.0, hold_s=1.0, force=None, over=None, lost=slice(0)
+):
     ticks = len(rise)
     force = np.ones((ticks, 1, 3)) if force is None else force
     over = np.zeros((ticks, 1), bool) if over is None else over
     phase = np.full((ticks, 1), Phase.HOLDING)
     phase[:50], phase[50:60], phase[60:100] = Phase.REACHING, Phase.CLOSING, Phase.LIFTING
+    phase[lost] = Phase.REACHING
     entered = np.full((1, len(Phase)), np.nan)
     entered[0, Phase.HOLDING] = top
     handoff = SimpleNamespace(error=np.zeros((1, 3)), midpoint=np.zeros(1))

@@ -41,11 +41,11 @@ class GraspRow:
     up_at_9s: bool
     """whether the object is lifted `LEAST_S` after the start"""
     tip_error_mm: tuple[float, ...] | None
-    """thumb, index, middle: tips to their standoff targets at the handoff [mm]"""
+    """thumb, index, middle: tips to their standoff targets at the last handoff [mm]"""
     midpoint_mm: float | None
     """of their midpoint [mm]"""
     force_mean_n: float | None
-    """mean over fingers and ticks from lift onset [N]"""
+    """mean over fingers and the ticks of lift and hold, without those of reaching anew [N]"""
     force_peak_n: float | None
     """largest on one finger at any time [N]"""
     peak_rise_m: float
@@ -89,8 +89,8 @@ def grasp_rows(
         if outcome == "never_lifted" and not closed:
             outcome = "not_reached"
         lift = _first(phase[:, w], Phase.LIFTING, dt)
-        until = int((~trace.over[:, w]).sum())
-        since = force[round(lift / dt) : until, w] if lift is not None else force[:0, w]
+        carries = np.isin(phase[:, w], (Phase.LIFTING, Phase.HOLDING)) & ~trace.over[:, w]
+        carried = force[carries, w]
         peak = float(force[:, w].max())
         rows.append(
             GraspRow(
@@ -107,7 +107,7 @@ def grasp_rows(
                 midpoint_mm=_millimetres(end.state.handoff.midpoint[w, None])[0]
                 if closed
                 else None,
-                force_mean_n=round(float(since.mean()), 3) if len(since) else None,
+                force_mean_n=round(float(carried.mean()), 3) if len(carried) else None,
                 force_peak_n=round(peak, 3) if peak else None,
                 peak_rise_m=round(float(end.progress.peak_rise[w]), 4),
                 returns=int(end.state.returns[w]),

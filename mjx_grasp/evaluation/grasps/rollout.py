@@ -30,7 +30,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
-from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
+from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways, smoothed
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.fields import midpoint
@@ -190,7 +190,7 @@ def grasp_all(
         due = np.flatnonzero(carry.due & ~over)
         if len(due):
             key = jax.random.fold_in(key, number)
-            now = _seen(carry.track, carry.truth, given)
+            now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
             tried, q = carry.grasp.tried, carry.measured.q
             found = planned(grasper, library, known, now, q, tried, key, due)
             new = jax.tree.map(lambda a, b, due=due: b.at[due].set(a), found, carry.grasp.ways)

@@ -162,7 +162,7 @@ class RobotErrors(Settings):
     """How the robot differs from its model."""
 
     stiffness: tuple[Positive, Positive] = (1.0, 1.0)
-    """range of the factor on the position gains of the fingers, uniform in its logarithm [-]"""
+    """range of the factor on the position gains of the fingers [-]"""
     latency_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     """range of the time that a command takes to arrive, in whole control periods [s]"""
     torque_std: NonNegative = 0.0
@@ -196,7 +196,7 @@ class StartNoise(Settings):
     mass_scale: tuple[Positive, Positive] = (1.0, 1.0)
     """range of the factor on the object's mass [-]"""
     budget_n: tuple[Positive, Positive] = (3.0, 3.0)
-    """range of the force budget, for a policy that is given one, uniform in its logarithm [N]"""
+    """range of the force budget, for a policy that is given one [N]"""
     robot: RobotErrors = field(default_factory=RobotErrors)
 
     def __post_init__(self) -> None:

@@ -119,9 +119,6 @@ def draw_starts(
 ) -> StartDraw:
     """Draws start rows by weight, and the errors of `noise` uniformly.
 
-    Budget and stiffness are drawn uniformly in their logarithm: half as much is as likely as
-    twice as much.
-
     Args:
         key: Random key.
         worlds: How many.
@@ -144,18 +141,15 @@ def draw_starts(
     def between(column: int, bounds: tuple[float, float]) -> Float[Array, " w"]:
         return bounds[0] + (bounds[1] - bounds[0]) * u[:, column]
 
-    def factor(column: int, bounds: tuple[float, float]) -> Float[Array, " w"]:
-        return bounds[0] * (bounds[1] / bounds[0]) ** u[:, column]
-
     return StartDraw(
         row=row.clip(0, len(weights) - 1),
         offset=noise.offset_m * (2.0 * u[:, 1:3] - 1.0),
         rotation=axis * (noise.angle_rad * u[:, 5:6]),
         friction=between(6, noise.friction),
         mass_scale=between(7, noise.mass_scale),
-        budget=factor(8, noise.budget_n),
+        budget=between(8, noise.budget_n),
         robot=RobotDraw(
-            stiffness=factor(9, noise.robot.stiffness),
+            stiffness=between(9, noise.robot.stiffness),
             latency=between(10, noise.robot.latency_s),
             friction=noise.robot.friction * (2.0 * u[:, 11] - 1.0),
             stream=(u[:, 12] * 2**24).astype(jnp.int32),

@@ -29,6 +29,7 @@ from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
 from mjx_grasp.tasks.config import (
     EndToEndConfig,
     RewardConfig,
+    RobotErrors,
     StartNoise,
     task_from_record,
 )
@@ -100,7 +101,8 @@ VARIED = StartNoise(
     angle_rad=math.radians(5.0),
     friction=(0.4, 1.0),
     mass_scale=(0.8, 1.25),
-    budget_n=(1.0, 8.0),
+    budget_n=(1.0, 12.0),
+    robot=RobotErrors(stiffness=(0.5, 2.0)),
 )
 """What its training draws anew at each reset."""
 

@@ -14,7 +14,7 @@ from mjx_grasp.closing.guidance import goal_frame
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.tasks.config import RobotErrors, StartNoise
+from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.starts import (
     balanced_weights,
     build_starts,
@@ -94,20 +94,6 @@ def test_draws_follow_weights_and_stay_in_their_ranges(starts):
         np.testing.assert_allclose(values.mean(), (low + high) / 2, atol=0.02 * (high - low))
         np.testing.assert_allclose(values.std(), (high - low) / 12**0.5, rtol=0.03)
     assert abs(np.corrcoef(draw.offset[:, 0], draw.offset[:, 1])[0, 1]) < 0.03
-
-
-def test_budget_and_stiffness_are_uniform_in_their_logarithm(starts):
-    noise = StartNoise(budget_n=(1.0, 12.0), robot=RobotErrors(stiffness=(0.5, 2.0)))
-    weights = balanced_weights(starts.object_index, 3)
-    draw = draw_starts(jax.random.PRNGKey(0), 20000, starts, noise, weights)
-    for values, low, high in ((draw.budget, 1.0, 12.0), (draw.robot.stiffness, 0.5, 2.0)):
-        share = np.log(np.asarray(values) / low) / np.log(high / low)
-        assert share.min() >= -1e-6 and share.max() <= 1 + 1e-6
-        np.testing.assert_allclose(
-            np.quantile(share, [0.25, 0.5, 0.75]), [0.25, 0.5, 0.75], atol=0.02
-        )
-    fixed = draw_starts(jax.random.PRNGKey(0), 64, starts, StartNoise(budget_n=(3.0, 3.0)), weights)
-    assert (np.asarray(fixed.budget) == 3.0).all()
 
 
 def test_draws_are_a_function_of_the_key(starts):

@@ -54,20 +54,20 @@ def sensitivity(path: Path) -> str:
     return markdown(Table("Sensitivity", ("what", "value", *found), tuple(lines), names=2))
 
 
-def drawn_stiffness(path: Path, drawn: Path) -> str:
-    """Over the finger stiffness: the policy, one whose training drew it, and the grip.
+def drawn_stiffness(path: Path, fixed: Path) -> str:
+    """Over the finger stiffness: the policy, one whose training did not draw it, and the grip.
 
     Args:
         path: The table's file.
-        drawn: The other policy's, of the same trials.
+        fixed: The other policy's, of the same trials.
     """
-    usual, other = read(path), read(drawn)
+    usual, other = read(path), read(fixed)
     if usual is None or other is None:
         return NOTHING
-    shipped, trained = curves(usual), curves(other)
+    shipped, before = curves(usual), curves(other)
     columns = {
         **{f"{name}, as shipped": of for name, of in shipped.items() if "policy" in name},
-        **{f"{name}, drawn": of for name, of in trained.items() if "policy" in name},
+        **{f"{name}, stiffness fixed": of for name, of in before.items() if "policy" in name},
         "grip": shipped["grip"],
     }
     called, shown = FACTORS["stiffness"]

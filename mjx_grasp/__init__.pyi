@@ -69,6 +69,7 @@ from mjx_grasp.pipeline.config import GrasperConfig as GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper as Grasper
 from mjx_grasp.pipeline.state import Known as Known
 from mjx_grasp.pipeline.state import Seen as Seen
+from mjx_grasp.pipeline.state import smoothed as smoothed
 from mjx_grasp.closing.learned import LearnedPolicy as LearnedPolicy
 
 # Handoffs

@@ -22,10 +22,11 @@ class ServoConfig(Settings):
 class PoseFilterConfig(Settings):
     """How the readings of a tracker are smoothed, as far as they jitter."""
 
-    acceleration: Positive = 0.5
-    """how quickly an object may change its velocity: the less, the smoother and the later [m/s²]"""
-    turning: Positive = 5.0
-    """and its angular velocity [rad/s²]"""
+    agility: Positive = 2.5e-3
+    """how quickly an object changes its velocity, as the spectral density of white acceleration:
+    the less, the smoother and the later [m²/s³]"""
+    turning: Positive = 0.25
+    """and its angular velocity [rad²/s³]"""
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,12 @@ class GraspTick(NamedTuple):
 
 
 def smoothed(seen: Seen, pose: PoseEstimate) -> Seen:
-    """What is perceived, with the object where it is estimated to be."""
+    """What is perceived, with the object where it is estimated to be.
+
+    Args:
+        seen: What is perceived.
+        pose: `GraspState.pose`.
+    """
     return seen._replace(p_wo=pose.p_wo, R_wo=pose.R_wo)
 
 

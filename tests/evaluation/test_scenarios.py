@@ -103,6 +103,13 @@ def test_what_is_lost_leaves_the_last_reading():
     assert 0.17 < still < 0.23
 
 
+def test_a_slow_tracker_has_a_reading_now_and_then():
+    p, R, read_p, read_R = tracked(TrackerConfig(period=0.03))
+    for k in range(3):
+        np.testing.assert_array_equal(read_p[k::3], p[0::3])
+        np.testing.assert_array_equal(read_R[k::3], R[0::3])
+
+
 def drawn(settings, worlds=4, mass=0.5):
     p_wo = np.tile([0.5, -0.2, 0.05], (worlds, 1))
     masses = np.full(worlds, mass)

@@ -219,6 +219,28 @@ def test_an_object_that_moves_away_is_reached_for_again(grasper, tick, closing, 
     np.testing.assert_allclose(again.reach.clock, grasper.dt, atol=1e-6)
 
 
+def test_an_object_at_rest_whose_pose_is_noisy_rests(make, home, known):
+    grasper, draw = make(gate=NEVER), np.random.default_rng(0)
+    noise = 0.005 * draw.normal(size=(120, 3))
+    places = jnp.asarray(np.asarray(HERE) + noise, jnp.float32)
+
+    @jax.jit
+    def run(state):
+        def tick(state, p):
+            state, done = grasper.tick(state, home, known, seen(p=p))
+            moves = jnp.any(state.pose.twist != 0.0)
+            since = state.reach.since
+            return state, (state.pose.p_wo, state.reach.p_wo, moves, since, done.plans_due)
+
+        return jax.lax.scan(tick, state, places)
+
+    _, (filtered, used, moves, since, due) = run(grasper.start(home, known, seen()))
+    np.testing.assert_array_equal(used, filtered)
+    assert np.asarray(filtered)[60:].std(axis=0).max() < 0.6 * 0.005
+    assert np.mean(moves[60:]) < 0.05 and not np.any(due)
+    assert np.max(since) > 0.3, "what moves is waited for"
+
+
 def test_after_lift_onset_it_is_lost(tick, closing, home, there):
     state, _ = tick(closing, home, seen((True, True, True), there))
     assert state.phase == Phase.LIFTING

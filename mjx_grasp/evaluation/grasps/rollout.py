@@ -160,7 +160,8 @@ def grasp_all(
     given = draw_circumstances(scenario, problem.p_wo, mass, friction, tips, dt, seed)
 
     key, noise = jax.random.split(jax.random.key(seed))
-    tracked = start_track(*_pose(truth), dt)
+    first = jax.random.fold_in(noise, 0)
+    tracked = track(start_track(*_pose(truth), dt), *_pose(truth), first, given.faults)
     seen = _seen(tracked, truth, given)
     before, everyone = Tried.nothing(worlds), np.arange(worlds)
     plans = planned(grasper, library, known, seen, measured.q, before, key, everyone)

@@ -41,6 +41,8 @@ class TrackerConfig(Settings):
     """age of a reading [s]"""
     dropout: Share = 0.0
     """share of the readings that are lost; the last one stands [-]"""
+    period: NonNegative = 0.0
+    """time from one reading to the next, in whole control periods and one at least [s]"""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,9 @@ from jaxtyping import Array, Float, Int
 from mjx_grasp.evaluation.grasps.scenario import LONGEST_DELAY_S, TrackerConfig
 from mjx_grasp.geometry import so3
 
+# Ticks after which any tracker has a reading.
+_LONG_AGO = 10**6
+
 
 class Faults(NamedTuple):
     """A `TrackerConfig` as numbers of a compiled function."""
@@ -22,13 +25,15 @@ class Faults(NamedTuple):
     age: Int[Array, ""]
     """of a reading in ticks"""
     dropout: Float[Array, ""]
+    period: Int[Array, ""]
+    """of readings in ticks"""
 
     @classmethod
     def of(cls, config: TrackerConfig, dt: float) -> Faults:
-        """With one reading per tick of ``dt`` [s]."""
-        age = jnp.int32(round(config.delay / dt))
+        """With ticks of ``dt`` [s]."""
+        age, period = jnp.int32(round(config.delay / dt)), jnp.int32(round(config.period / dt))
         position, rotation = jnp.float32(config.position), jnp.float32(config.rotation)
-        return cls(position, rotation, age, jnp.float32(config.dropout))
+        return cls(position, rotation, age, jnp.float32(config.dropout), period)
 
 
 class Track(NamedTuple):
@@ -40,6 +45,8 @@ class Track(NamedTuple):
     p_wo: Float[Array, "w 3"]
     """the last reading that arrived [m]"""
     R_wo: Float[Array, "w 3 3"]
+    since: Int[Array, " w"]
+    """ticks since it was due"""
 
 
 def start_track(p_wo: Float[Array, "w 3"], R_wo: Float[Array, "w 3 3"], dt: float) -> Track:
@@ -52,7 +59,7 @@ def start_track(p_wo: Float[Array, "w 3"], R_wo: Float[Array, "w 3 3"], dt: floa
     """
     ages = round(LONGEST_DELAY_S / dt) + 1
     pos, mat = (jnp.repeat(x[:, None], ages, axis=1) for x in (p_wo, R_wo))
-    return Track(pos, mat, p_wo, R_wo)
+    return Track(pos, mat, p_wo, R_wo, jnp.full(len(p_wo), _LONG_AGO, jnp.int32))
 
 
 def track(
@@ -62,7 +69,7 @@ def track(
     key: Array,
     faults: Faults,
 ) -> Track:
-    """One reading of each world; exactly the truth if there are no faults.
+    """What it says of each world a tick later; exactly the truth if there are no faults.
 
     Args:
         before: From `start_track` or the last reading.
@@ -77,10 +84,13 @@ def track(
     p = late_pos[:, faults.age] + faults.position * jax.random.normal(moved, p_wo.shape)
     off = faults.rotation * jax.random.normal(turned, p_wo.shape)
     R = late_mat[:, faults.age] @ jax.vmap(so3.exp)(off)
-    gone = jax.random.bernoulli(lost, faults.dropout, (len(p_wo),))
+    since = before.since + 1
+    due = since >= faults.period
+    gone = ~due | jax.random.bernoulli(lost, faults.dropout, (len(p_wo),))
     return Track(
         late_pos,
         late_mat,
         jnp.where(gone[:, None], before.p_wo, p),
         jnp.where(gone[:, None, None], before.R_wo, R),
+        jnp.where(due, 0, since),
     )

@@ -113,7 +113,7 @@ def test_a_driver_finds_what_it_needs(session, robot):
     assert said["action"]["limits"] == [-1.0, 1.0] and said["action"]["law"] == to_record(
         task.action
     )
-    assert said["force_budget"]["range_n"] == [1.0, 8.0]
+    assert said["force_budget"]["range_n"] == policy.meta["noise"]["budget_n"]
     assert said["policy"]["provenance"] == policy.meta["provenance"]
     assert len(said["policy"]["sha256"]) == 64 and said["exported"]["versions"]["jax"]
 

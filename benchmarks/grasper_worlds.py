@@ -270,7 +270,7 @@ def segment(
 
     def tick(worlds: Worlds, _: None) -> tuple[Worlds, None]:
         seen = seen_of(worlds.truth)
-        grasp, done = jax.vmap(grasper.tick)(worlds.grasp, worlds.measured, known, seen)
+        grasp, done = grasper.ticks(worlds.grasp, worlds.measured, known, seen)
         stepped = physics.step(worlds.physics, params, done.target[:, order])
         due, overflown = worlds.due | done.plans_due, worlds.overflown | stepped[2].overflow
         return Worlds(*stepped, grasp, due, overflown), None

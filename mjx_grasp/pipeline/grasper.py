@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import stages
 from mjx_grasp.closing.closer import Closer, CloserState
@@ -50,6 +51,7 @@ from mjx_grasp.pipeline.state import (
     to_object,
     to_world,
 )
+from mjx_grasp.pipeline.worlds import for_those
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
@@ -64,7 +66,7 @@ from mjx_grasp.robot.interface import Measured
 class Grasper:
     """Controller of one robot with one set of settings; static under jit.
 
-    One world costs what its phase costs. Many are a ``vmap``, for which every phase is computed.
+    One world costs what its phase costs; many are `Grasper.ticks`.
     """
 
     reacher: Reacher
@@ -177,21 +179,65 @@ class Grasper:
             known: The object.
             seen: Where it is now, what touches, what is in the way.
         """
-        pose = estimated(state.pose, seen.p_wo, seen.R_wo, self.dt, self.config.pose)
-        state, seen = state._replace(clock=state.clock + self.dt, pose=pose), smoothed(seen, pose)
+        state, seen = self._noticed(state, seen)
         parts = (self._reach, self._close, self._close, self._close, self._stop)
         after, done = jax.lax.switch(state.phase, parts, state, measured, known, seen)
-        after = self._begun_again(state, after, measured, known, seen)
+        after, anew = self._begins_again(state, after)
+        reach = jax.lax.cond(
+            anew,
+            lambda: self._reach_again(measured, known, seen, state.ways),
+            lambda: after.reach,
+        )
+        return self._settled(state, after._replace(reach=reach), done)
+
+    def ticks(
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
+    ) -> tuple[GraspState, GraspTick]:
+        """`tick` of many worlds: reaching, by far the dearest phase, for those alone that reach.
+
+        Args:
+            state: Of each world, stacked, as all that follows.
+            measured: Now.
+            known: Their objects.
+            seen: Where they are now, what touches, what is in the way.
+        """
+        state, seen = jax.vmap(self._noticed)(state, seen)
+
+        def reached(row: Int[Array, ""]) -> tuple[GraspState, GraspTick]:
+            return self._reach(*_of((state, measured, known, seen), row))
+
+        def begun(row: Int[Array, ""]) -> ReachState:
+            return self._reach_again(*_of((measured, known, seen, state.ways), row))
+
+        def otherwise(state: GraspState, *given: Any) -> tuple[GraspState, GraspTick]:
+            closes = (state.phase != Phase.REACHING) & (state.phase != Phase.FAILED)
+            return jax.lax.cond(closes, self._close, self._stop, state, *given)
+
+        rest = jax.vmap(otherwise)(state, measured, known, seen)
+        after, done = for_those(state.phase == Phase.REACHING, reached, rest)
+        after, anew = jax.vmap(self._begins_again)(state, after)
+        after = after._replace(reach=for_those(anew, begun, after.reach))
+        return jax.vmap(self._settled)(state, after, done)
+
+    def _noticed(self, state: GraspState, seen: Seen) -> tuple[GraspState, Seen]:
+        """A tick later, and the object where it is estimated to be."""
+        pose = estimated(state.pose, seen.p_wo, seen.R_wo, self.dt, self.config.pose)
+        return state._replace(clock=state.clock + self.dt, pose=pose), smoothed(seen, pose)
+
+    def _settled(
+        self, before: GraspState, after: GraspState, done: GraspTick
+    ) -> tuple[GraspState, GraspTick]:
+        """Once the phase is known: time-out, when it was entered, whether plans are due."""
         late = (after.phase < Phase.HOLDING) & (after.clock >= self.config.timeout_s)
         phase = jnp.where(late, Phase.FAILED, after.phase).astype(jnp.int32)
-        enters = (phase != state.phase) & (jnp.arange(len(Phase)) == phase)
+        enters = (phase != before.phase) & (jnp.arange(len(Phase)) == phase)
         due = (phase == Phase.REACHING) & after.reach.stale
         return after._replace(
             phase=phase,
             failure=jnp.where(late, Failure.TIME_OUT, after.failure).astype(jnp.int32),
-            entered=jnp.where(enters, state.clock, after.entered),
+            entered=jnp.where(enters, before.clock, after.entered),
             target=done.target,
-        ), done._replace(plans_due=due & (state.ways is not None))
+        ), done._replace(plans_due=due & (before.ways is not None))
 
     def _start_reach(
         self, measured: Measured, known: Known, seen: Seen, ways: Ways | None
@@ -310,30 +356,26 @@ class Grasper:
         )
         return state, self._did(target, points, norm(points.position - measured.pad_pos))
 
-    def _begun_again(
-        self,
-        before: GraspState,
-        after: GraspState,
-        measured: Measured,
-        known: Known,
-        seen: Seen,
-    ) -> GraspState:
-        """Reaching starts anew, with new plans, after closing and once where it was in vain."""
+    def _begins_again(
+        self, before: GraspState, after: GraspState
+    ) -> tuple[GraspState, Bool[Array, ""]]:
+        """Whether reaching starts anew: after closing, and once where it was in vain."""
         in_vain = after.failure == Failure.NOT_REACHED
         in_vain &= (before.failure == Failure.NONE) & (after.retries < self.config.retries)
         phase = jnp.where(in_vain, Phase.REACHING, after.phase).astype(jnp.int32)
-        back = in_vain | ((phase == Phase.REACHING) & (before.phase != Phase.REACHING))
-
-        def anew() -> ReachState:
-            begun = self._start_reach(measured, known, seen, before.ways)
-            return begun._replace(stale=jnp.asarray(before.ways is not None))
-
-        return after._replace(
+        after = after._replace(
             phase=phase,
             failure=jnp.where(in_vain, Failure.NONE, after.failure).astype(jnp.int32),
             retries=after.retries + in_vain,
-            reach=jax.lax.cond(back, anew, lambda: after.reach),
         )
+        return after, in_vain | ((phase == Phase.REACHING) & (before.phase != Phase.REACHING))
+
+    def _reach_again(
+        self, measured: Measured, known: Known, seen: Seen, ways: Ways | None
+    ) -> ReachState:
+        """The start of a reach that waits for new plans."""
+        begun = self._start_reach(measured, known, seen, ways)
+        return begun._replace(stale=jnp.asarray(ways is not None))
 
     def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
         """Presses with no less than the plan says, where the grip answers to load.
@@ -396,3 +438,8 @@ class Grasper:
         return jnp.clip(
             self.policy.answer(observation(stack, budget, self.policy.observation)), -1, 1
         )
+
+
+def _of(worlds: Any, row: Int[Array, ""]) -> Any:
+    """One world of many."""
+    return jax.tree.map(lambda leaf: leaf[row], worlds)

@@ -297,6 +297,36 @@ def test_a_batch_is_the_map_over_its_robots(grasper, tick, known, everywhere):
         close(jax.tree.map(lambda leaf, k=k: leaf[k], mapped), alone, atol)
 
 
+def test_many_worlds_are_the_map_over_them(grasper, tick, known, everywhere):
+    """However many reach: more than one part of the batch holds, a few, or none."""
+    alone = [tick(*row) for row in everywhere]
+    together = jax.jit(grasper.ticks)
+    for phases in ([0] * 9 + [1, 2, 0, 3], [2, 3, 0, 4, 1, 2, 3, 3, 2, 0, 3], [1, 2, 3, 4]):
+        rows = [everywhere[phase] for phase in phases]
+        state, measured, what = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+        objects = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[known] * len(rows))
+        found = together(state, measured, objects, what)
+        for k, phase in enumerate(phases):
+            atol = 2e-3 if phase == Phase.REACHING else 2e-5
+            close(jax.tree.map(lambda leaf, k=k: leaf[k], found), alone[phase], atol)
+
+
+def test_many_worlds_begin_to_reach_again_as_one_does(grasper, tick, home, known, closing, there):
+    """Where the object leaves before the lift, beside others that go on."""
+    rows = [
+        (closing, home, seen(p=there + jnp.array([0.2, 0.0, 0.0]))),
+        (closing, home, seen((True, False, False), there)),
+        (grasper.start(home, known, seen()), home, seen()),
+    ]
+    state, measured, what = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+    objects = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[known] * len(rows))
+    found = jax.jit(grasper.ticks)(state, measured, objects, what)
+    assert found[0].phase.tolist() == [Phase.REACHING, Phase.CLOSING, Phase.CLOSING]
+    assert found[0].returns.tolist() == [1, 0, 0]
+    for k, row in enumerate(rows):
+        close(jax.tree.map(lambda leaf, k=k: leaf[k], found), tick(*row), atol=2e-3)
+
+
 @pytest.mark.parametrize("phase", list(Phase)[1:], ids=lambda phase: phase.name.lower())
 def test_compiled_is_as_written(grasper, tick, known, everywhere, phase):
     state, measured, what = everywhere[phase]

@@ -233,7 +233,7 @@ def _segment(
         key, noise = jax.random.split(carry.key)
         tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
         seen = _seen(tracked, carry.truth, given)
-        grasp, done = jax.vmap(grasper.tick)(carry.grasp, carry.measured, known, seen)
+        grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen)
         began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
         p_wo, R_wo = _pose(carry.truth)
         velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]

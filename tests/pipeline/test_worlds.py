@@ -1,0 +1,40 @@
+"""Of many worlds, those that need something."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjx_grasp.pipeline.worlds import for_those
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=40))
+def test_those_that_need_it_get_it_and_the_others_keep_theirs(need):
+    need = np.array(need)
+    had = {"a": -jnp.arange(len(need)), "b": jnp.zeros((len(need), 2))}
+    rows = jnp.arange(len(need))
+
+    def compute(row):
+        return {"a": rows[row] ** 2, "b": jnp.stack([row, row + 1.0])}
+
+    found = for_those(jnp.asarray(need), compute, had)
+    everyone = jax.vmap(compute)(rows)
+    np.testing.assert_array_equal(found["a"], np.where(need, everyone["a"], had["a"]))
+    np.testing.assert_array_equal(found["b"], np.where(need[:, None], everyone["b"], had["b"]))
+
+
+@pytest.mark.parametrize(("needy", "parts"), [(0, 0), (1, 1), (8, 1), (9, 2), (64, 8)])
+def test_it_is_computed_as_often_as_needed(needy, parts):
+    """In parts of an eighth of the worlds."""
+    sizes = []
+
+    def compute(row):
+        jax.debug.callback(lambda row: sizes.append(int(row)), row)
+        return row
+
+    need = jnp.arange(64) >= 64 - needy
+    jax.jit(lambda need: for_those(need, compute, jnp.full(64, -1)))(need).block_until_ready()
+    jax.effects_barrier()
+    assert len(sizes) == 8 * parts

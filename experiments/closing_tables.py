@@ -74,6 +74,7 @@ ON_WALLS = (
     "under a slope take less."
 )
 _BUDGETS_N = (3.0, 4.0)
+_MARGINS = (0.0, 0.1, 0.2)
 LAYERS = (
     "Where a control tick goes, in ms. Each loop contains the one before it: MuJoCo Warp alone (as "
     "a CUDA graph), the same called from JAX, the task around it, the policy's actions, PPO's "
@@ -180,18 +181,21 @@ def least_forces(names: Sequence[str]) -> Table:
 
 
 def least_by_contacts(path: Path) -> str:
-    """What the contacts of the start states ask for, and a bound on success within a mean force."""
+    """What the contacts of the start states ask for, and a bound on success within a mean force.
+
+    The last lines are the means for forces that are above the least by some shares.
+    """
     record = read(path)
     if record is None:
         return NOTHING
     rows = record["rows"]
     frictions = list(dict.fromkeys(row["friction"] for row in rows))
     cells: dict[str, list[str]] = {}
-    shares: list[list[float]] = []
+    every: list[np.ndarray] = []
     for row in rows:
         forces = np.array([np.inf if x is None else x for x in row["forces_n"]])
-        within = [100.0 * np.mean(forces <= budget) for budget in _BUDGETS_N]
-        shares.append(within)
+        within = _shares_within(forces)
+        every.append(forces)
         low, median, high = (
             f"{x:.1f}" for x in np.percentile(forces, (5, 50, 95), method="nearest")
         )
@@ -199,13 +203,23 @@ def least_by_contacts(path: Path) -> str:
         own = cells.setdefault(label, [f"{1e3 * row['mass_kg']:.0f}"])
         own += [f"{median} ({low}–{high})", *(f"{share:.0f}" for share in within)]
     lines = [(label, *own) for label, own in cells.items()]
-    means = np.reshape(shares, (len(frictions), len(cells), len(_BUDGETS_N))).mean(axis=1)
-    last = [x for part in means for x in ("", *(f"{share:.1f}" for share in part))]
+    means = []
+    for margin in _MARGINS:
+        shares = [_shares_within((1.0 + margin) * forces) for forces in every]
+        parts = np.reshape(shares, (len(frictions), len(cells), len(_BUDGETS_N))).mean(axis=1)
+        label = f"mean, {100 * margin:.0f} % above" if margin else "mean"
+        last = [x for part in parts for x in ("", *(f"{share:.1f}" for share in part))]
+        means.append((label, "", *last))
     header = ["object", "mass g"]
     for mu in frictions:
         header += [f"friction {mu:g}: N", *(f"within {b:g} N %" for b in _BUDGETS_N)]
-    table = Table("Contacts", tuple(header), (*lines, ("mean", "", *last)), names=1, summary=1)
-    return markdown(table)
+    rows = (*lines, *means)
+    return markdown(Table("Contacts", tuple(header), rows, names=1, summary=len(means)))
+
+
+def _shares_within(forces: np.ndarray) -> list[float]:
+    """How many of them are within each budget [%]."""
+    return [100.0 * float(np.mean(forces <= budget)) for budget in _BUDGETS_N]
 
 
 def _means_by_engine(groups: Groups) -> list[str]:

@@ -91,11 +91,6 @@ def measure(
     worlds = len(warm.physics.qpos)
     task = world.task(engine, worlds, TaskConfig())
     state = warm
-    if engine == "mjx":
-        native = warm.physics
-        physics = task.physics.init(native.qpos, native.ctrl)
-        physics = physics.replace(qvel=native.qvel, qacc_warmstart=native.warmstart)
-        state = warm._replace(physics=physics)
     run = stepper(task, worlds)
     start = time.perf_counter()
     jax.block_until_ready(run(state, config.ticks))

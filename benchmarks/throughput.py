@@ -5,7 +5,7 @@ For each number of worlds it times, on the same device in the same process:
   warp       MuJoCo Warp alone, the control tick's physics steps in one CUDA graph, no JAX;
              `warp_own_tolerance` with the solver's tolerance that it sets for itself, 1e-6, at
              which it stops earlier than in any of the others
-  mjx        the same steps through `mjx.step` inside a jitted scan
+  mjx        the same steps called from JAX, tick by tick, inside a jitted scan
   task       the closing environment (commands, readings, rewards, stages, resets), given actions
   rollout    the same with the policy and the record of transitions
   ppo        whole PPO iterations: rollout and updates
@@ -54,7 +54,7 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.sim.physics import WorldParams
+from mjx_grasp.sim.physics import PhysicsState, WorldParams
 from mjx_grasp.tasks.assemble import build_scene_of, build_world
 from mjx_grasp.training.config import settings_of
 
@@ -81,35 +81,26 @@ class BenchmarkConfig(CommandSettings):
     seed: Seed = 0
 
 
-Recorded = tuple[dict[str, jax.Array], WorldParams]
+Recorded = tuple[PhysicsState, WorldParams]
 """What physics is given at each tick, [tick, world, …]: state with command, and parameters."""
 
 
-def _timed(
-    function: Callable, data: Any, *given: Any, repeats: int
-) -> tuple[Any, Any, float, float]:
-    """Times a function that takes physics' data and hands them on, as a training does.
-
-    Kept apart from what comes out they would be copied, a gigabyte or two, and Warp's graphs, which
-    know them by where they lie, captured anew.
+def _timed(function: Callable, *given: Any, repeats: int) -> tuple[Any, float, float]:
+    """Times a function.
 
     Returns:
-        Data and what else the function returned; seconds until then, most of them of compiling;
-        the median of the runs after that [s].
+        What it returned; seconds until then, most of them of compiling; the median of the runs
+        after that [s].
     """
-    jitted = jax.jit(function, donate_argnums=0)
+    jitted = jax.jit(function)
 
-    def run(data: Any) -> tuple[Any, Any, float]:
+    def run() -> tuple[Any, float]:
         begun = time.perf_counter()
-        data, found = jax.block_until_ready(jitted(data, *given))
-        return data, found, time.perf_counter() - begun
+        found = jax.block_until_ready(jitted(*given))
+        return found, time.perf_counter() - begun
 
-    data, found, compile_s = run(data)
-    times = []
-    for _ in range(repeats):
-        data, found, seconds = run(data)
-        times.append(seconds)
-    return data, found, compile_s, statistics.median(times)
+    found, compile_s = run()
+    return found, compile_s, statistics.median(run()[1] for _ in range(repeats))
 
 
 def plain_warp(
@@ -137,8 +128,9 @@ def plain_warp(
         m.opt.tolerance.fill_(tolerance)
     d = mjw.make_data(model, nworld=worlds, **physics.buffers)
 
-    states, params = ticks
-    count = len(states["qpos"])
+    state, params = ticks
+    states = {"qacc_warmstart" if n == "warmstart" else n: x for n, x in state._asdict().items()}
+    count = len(state.qpos)
     given = [
         (owner, name, np.asarray(values))
         for owner, fields in ((d, states), (m, jax.vmap(physics.world_fields)(params)))
@@ -304,50 +296,43 @@ def _layers(
     )
     start = state.env
 
-    def begun(data):
-        before = start.pipeline_state
-        data = data.replace(**physics.pack(before.physics))
-        return start.replace(pipeline_state=before._replace(physics=data))
-
-    def rollout(data):
+    def rollout(start):
         key = jax.random.PRNGKey(0)
         final, seen = acting.generate_unroll(
-            env, begun(data), policy, key, unroll, extra_fields=EPISODE_FIELDS
+            env, start, policy, key, unroll, extra_fields=EPISODE_FIELDS
         )
-        found = seen.action, final.obs, jax.tree.map(jnp.sum, seen)
-        return final.pipeline_state.physics, found
+        return seen.action, final.obs, jax.tree.map(jnp.sum, seen)
 
-    def task(data, actions):
+    def task(start, actions):
         def tick(s, action):
             s = env.step(s, action)
             return s, jnp.sum(s.reward)
 
-        final, reward = jax.lax.scan(tick, begun(data), actions)
-        return final.pipeline_state.physics, (final.obs, reward)
+        final, reward = jax.lax.scan(tick, start, actions)
+        return final.obs, reward
 
     def record(s, actions):
         def tick(s, action):
             before = s.pipeline_state
             commanded = env.task.tick(before, action)[0].physics.ctrl
-            given = physics.pack(before.physics) | {"ctrl": commanded}
+            given = before.physics._replace(ctrl=commanded)
             return env.step(s, action), (given, before.params)
 
         return jax.lax.scan(tick, s, actions)[1]
 
-    def mjx(data, ticks):
-        def tick(data, row):
+    def mjx(ticks):
+        def tick(last, row):
             given, params = row
-            data, measured, _ = physics.step(data.replace(**given), params, given["ctrl"])
-            return data, measured.q
+            state, measured, _ = physics.step(given, params, given.ctrl)
+            return state, measured.q
 
-        return jax.lax.scan(tick, data, ticks)
+        return jax.lax.scan(tick, start.pipeline_state.physics, ticks)
 
-    data = jax.tree.map(jnp.copy, start.pipeline_state.physics)
     timed = functools.partial(_timed, repeats=config.repeats)
-    data, (actions, *_), compile_s["rollout"], rollout_s = timed(rollout, data)
-    data, _, compile_s["task"], task_s = timed(task, data, actions)
+    (actions, *_), compile_s["rollout"], rollout_s = timed(rollout, start)
+    _, compile_s["task"], task_s = timed(task, start, actions)
     ticks: Recorded = jax.jit(record)(start, actions)
-    _, _, compile_s["mjx"], mjx_s = timed(mjx, data, ticks)
+    _, compile_s["mjx"], mjx_s = timed(mjx, ticks)
     for name, whole in (("rollout", rollout_s), ("task", task_s), ("mjx", mjx_s)):
         seconds[name] = whole / unroll
     scenes = physics.scene.model.opt.tolerance

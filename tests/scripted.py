@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.sim.physics import Truth
+from mjx_grasp.sim.physics import Physics, Truth
 
 
 class ScriptedState(NamedTuple):
@@ -23,7 +23,7 @@ class Script(NamedTuple):
     truth: Truth
 
 
-class ScriptedPhysics:
+class ScriptedPhysics(Physics):
     """Reports a script tick by tick; a reset world starts it again."""
 
     def __init__(self, scene, script, substeps=5):
@@ -45,12 +45,6 @@ class ScriptedPhysics:
         last = len(self.script.measured.q) - 1
         now = jax.tree.map(lambda x: x[jnp.minimum(state.tick, last), worlds], self.script)
         return ScriptedState(state.tick + 1, state.qpos, ctrl), *now
-
-    def pack(self, state):
-        return state._asdict()
-
-    def unpack(self, packed):
-        return ScriptedState(**packed)
 
 
 def still(starts, rows, ticks):

@@ -5,26 +5,20 @@ from __future__ import annotations
 import math
 
 import jax
-import numpy as np
 
 from mjx_grasp.learning.config import PPOConfig
-from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.mjx_engine import warp_bytes_per_world
 from mjx_grasp.sim.scene import Scene
 
-_COPIES = 3
-"""State before and after a step, and the temporary one while XLA swaps them."""
+_COPIES = 2
+"""MuJoCo Warp's arrays, and about as much again that it and XLA keep meanwhile."""
 _TRANSITION_NUMBERS = 900
 """Numbers kept of a control step: two observations for actor and critic, actions, forces, flags."""
 
 
 def bytes_per_world(scene: Scene, unroll: int) -> int:
-    """Device memory of one world of a training [bytes]: physics state and its rollout."""
-    physics = MjxPhysics(scene, 1)
-    model = scene.model
-    shapes = jax.eval_shape(physics.init, np.zeros((1, model.nq)), np.zeros((1, model.nu)))
-    state = sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))
-    fields = 4 * (7 * model.ngeom + 16 * model.nbody)
-    return _COPIES * state + fields + 4 * _TRANSITION_NUMBERS * unroll
+    """Device memory of one world of a training [bytes]: physics and its rollout."""
+    return _COPIES * warp_bytes_per_world(scene) + 4 * _TRANSITION_NUMBERS * unroll
 
 
 def worlds_that_fit(scene: Scene, ppo: PPOConfig, memory_bytes: int, devices: int = 1) -> int:

@@ -1,29 +1,51 @@
-"""MJX with `impl='warp'`: the training engine, on a GPU; it also runs on a CPU, slowly."""
+"""MuJoCo Warp, as MJX ships it, called from JAX: the training engine, on a GPU; slowly on a CPU.
+
+MJX's own step hands all of Warp's arrays, a few hundred, in and out of JAX at every physics step.
+Here they stay with Warp: what goes in and out is the worlds' state, and what is measured of them,
+once per control tick. On a GPU the tick's physics steps are one CUDA graph, captured once.
+"""
 
 from __future__ import annotations
 
-import jax
+import dataclasses
+import inspect
+from collections.abc import Callable
+from typing import Any
+
 import jax.numpy as jnp
-import mujoco
+import mujoco.mjx.third_party.mujoco_warp as mjw
 import numpy as np
+import warp as wp
 from jaxtyping import Array, Bool, Float
-from mujoco import mjx
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import (
+    Physics,
+    PhysicsState,
     Truth,
     WorldParams,
-    check_control_rate,
     finger_rows,
     inverse_dynamics_residual,
 )
 from mjx_grasp.sim.scene import ObjectFields, Scene
 
-_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
+# Warp's names of what goes in: the state, and the model's fields that differ between worlds;
+_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
+_FIELDS = (*ObjectFields.NAMES, "geom_friction")
+# of what comes out: as the last physics step leaves it, and as each step does.
+_LAST = ("qpos", "qacc_warmstart", "site_xpos", "site_xmat", "xaxis", "xanchor")
+_LAST += ("sensordata", "nefc")
+_EACH = ("qvel", "M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "overflow")
+# A contact or constraint that did not fit; reaching the iteration limit is no overflow.
+_FULL = mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ
+_FULL |= mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE
+
+_CONTACTS, _CONSTRAINTS = 24, 128
+"""Room for so many contacts of a world on average, and for constraint rows of each."""
 
 
-class MjxPhysics:
+class MjxPhysics(Physics):
     """Worlds of the union scene in MuJoCo Warp, called from JAX.
 
     Args:
@@ -39,23 +61,18 @@ class MjxPhysics:
         scene: Scene,
         num_worlds: int,
         control_dt: float = 0.01,
-        contacts_per_world: int = 24,
-        constraints_per_world: int = 128,
+        contacts_per_world: int = _CONTACTS,
+        constraints_per_world: int = _CONSTRAINTS,
     ):
+        super().__init__(scene, control_dt)
         if num_worlds < 1:
             raise InputError("num_worlds", num_worlds, "at least 1")
-        self.scene, self.num_worlds = scene, num_worlds
-        self.substeps = check_control_rate(scene, control_dt)
-        # Warp would print a line per world whose line search stops early; Truth has overflows.
-        quiet = {"opt._impl.warn_overflow": 0}
-        # By default MJX takes the first of all devices, which may be another process's.
-        self._device = jax.local_devices()[0]
-        model = mjx.put_model(scene.model, impl="warp", device=self._device)
-        self._model = model.tree_replace(quiet)
-        self.buffers = dict(naconmax=contacts_per_world * num_worlds, njmax=constraints_per_world)
+        self.num_worlds = num_worlds
+        self.buffers = _buffers(num_worlds, contacts_per_world, constraints_per_world)
         self._rows = finger_rows(scene)
-        names = (*ObjectFields.NAMES, "geom_friction")
-        self._axes = jax.tree.map(lambda _: None, self._model).tree_replace(dict.fromkeys(names, 0))
+        self.on: dict[str, WarpWorlds] = {}
+        """Warp's own arrays on each of its devices, as the last tick left them"""
+        self._tick = _function(self)
         at = scene.addresses
         self._joints = scene.model.dof_jntid[at.robot_dof]
         body_mask = np.zeros((scene.model.nbody, 1), np.float32)
@@ -66,76 +83,26 @@ class MjxPhysics:
         geom_mask[at.object_geoms, 0] = 1.0
         self._slides = geom_mask * np.array([[1.0, 0.0, 0.0]], np.float32)
 
-    def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> mjx.Data:
-        """See `Physics.init`."""
-        model, on = self.scene.model, self._device
-        one = mjx.make_data(model, device=on, impl="warp", **self.buffers)
-        data = jax.vmap(lambda q, c: one.replace(qpos=q, ctrl=c))(
-            jnp.asarray(qpos, jnp.float32), jnp.asarray(ctrl, jnp.float32)
-        )
-        # One step on a copy gives every array its batched shape, so that a scan can carry it;
-        # then the state is put back.
-        params = WorldParams(
-            jnp.zeros(self.num_worlds, jnp.int32),
-            jnp.full(self.num_worlds, self.scene.config.friction[0]),
-            jnp.ones(self.num_worlds),
-        )
-        warm = jax.vmap(mjx.step, in_axes=(self._axes, 0))(
-            self._model.tree_replace(self.world_fields(params)), data
-        )
-        return self.reset(warm, jnp.ones(self.num_worlds, bool), qpos, ctrl)
-
-    def reset(
-        self,
-        state: mjx.Data,
-        mask: Bool[Array, " w"],
-        qpos: Float[Array, "w nq"],
-        ctrl: Float[Array, "w nu"],
-    ) -> mjx.Data:
-        """See `Physics.reset`."""
-
-        def put(new: Array | float, old: Array) -> Array:
-            return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-
-        return state.replace(
-            qpos=put(qpos, state.qpos),
-            qvel=put(0.0, state.qvel),
-            ctrl=put(ctrl, state.ctrl),
-            qacc_warmstart=put(0.0, state.qacc_warmstart),
-            time=put(0.0, state.time),
-        )
-
     def step(
-        self, state: mjx.Data, params: WorldParams, ctrl: Float[Array, "w nu"]
-    ) -> tuple[mjx.Data, Measured, Truth]:
+        self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
+    ) -> tuple[PhysicsState, Measured, Truth]:
         """See `Physics.step`."""
-        models = self._model.tree_replace(self.world_fields(params))
-        step = jax.vmap(mjx.step, in_axes=(self._axes, 0))
-        data = state.replace(ctrl=ctrl)
-        residuals, overflow = [], jnp.zeros(self.num_worlds, bool)
-        for _ in range(self.substeps):
-            before = data.qvel
-            data = step(models, data)
-            residuals.append(
-                inverse_dynamics_residual(
-                    self._rows,
-                    data._impl.M[:, self._rows.address],
-                    data.qvel - before,
-                    data.qfrc_bias,
-                    data.qfrc_actuator + data.qfrc_passive,
-                    self.scene.config.physics_dt,
-                )
-            )
-            overflow |= _buffer_overflow(data)
-        return data, self._measured(data, jnp.stack(residuals, axis=1)), self._truth(data, overflow)
-
-    def pack(self, state: mjx.Data) -> dict[str, Array]:
-        """See `Physics.pack`."""
-        return {name: getattr(state, name) for name in _STATE}
-
-    def unpack(self, packed: dict[str, Array]) -> mjx.Data:
-        """See `Physics.unpack`."""
-        return self.init(packed["qpos"], packed["ctrl"]).replace(**packed)
+        fields = self.world_fields(params)
+        given = state.qpos, state.qvel, state.warmstart, ctrl, *(fields[name] for name in _FIELDS)
+        found = dict(zip((*_LAST, *_EACH), self._tick(*given), strict=True))
+        qvel = found["qvel"]  # [substep, w, nv], as all of each step
+        residual = inverse_dynamics_residual(
+            self._rows,
+            found["M"][..., self._rows.address],
+            qvel - jnp.concatenate([state.qvel[None], qvel[:-1]]),
+            found["qfrc_bias"],
+            found["qfrc_actuator"] + found["qfrc_passive"],
+            self.scene.config.physics_dt,
+        )
+        after = PhysicsState(found["qpos"], qvel[-1], found["qacc_warmstart"], ctrl)
+        overflow = jnp.any((found["overflow"] & int(_FULL)) != 0, axis=0)
+        measured = self._measured(after, found, jnp.moveaxis(residual, 0, 1))
+        return after, measured, self._truth(after, found, overflow)
 
     def world_fields(self, params: WorldParams) -> dict[str, Array]:
         """Model fields of each world: its own object, friction and mass, [w, ...] each."""
@@ -155,37 +122,149 @@ class MjxPhysics:
         rows["geom_friction"] = base + self._slides * (params.friction[:, None, None] - base)
         return rows
 
-    def _measured(self, data: mjx.Data, residual: Float[Array, "w s m"]) -> Measured:
-        at = self.scene.addresses
-        mats = data.site_xmat.reshape(self.num_worlds, -1, 3, 3)
+    def _measured(
+        self, state: PhysicsState, found: dict[str, Array], residual: Float[Array, "w s m"]
+    ) -> Measured:
+        at, site, frames = self.scene.addresses, found["site_xpos"], found["site_xmat"]
         return Measured(
-            q=data.qpos[:, at.robot_qpos],
-            qd=data.qvel[:, at.robot_dof],
+            q=state.qpos[:, at.robot_qpos],
+            qd=state.qvel[:, at.robot_dof],
             external_torque=residual,
-            palm_pos=data.site_xpos[:, at.palm_site],
-            palm_mat=mats[:, at.palm_site],
-            pad_pos=data.site_xpos[:, at.pad_sites],
-            pad_mat=mats[:, at.pad_sites],
-            joint_axis=data.xaxis[:, self._joints],
-            joint_anchor=data.xanchor[:, self._joints],
+            palm_pos=site[:, at.palm_site],
+            palm_mat=frames[:, at.palm_site],
+            pad_pos=site[:, at.pad_sites],
+            pad_mat=frames[:, at.pad_sites],
+            joint_axis=found["xaxis"][:, self._joints],
+            joint_anchor=found["xanchor"][:, self._joints],
         )
 
-    def _truth(self, data: mjx.Data, overflow: Bool[Array, " w"]) -> Truth:
-        at = self.scene.addresses
+    def _truth(
+        self, state: PhysicsState, found: dict[str, Array], overflow: Bool[Array, " w"]
+    ) -> Truth:
+        at, sensed = self.scene.addresses, found["sensordata"]
         return Truth(
-            object_pos=data.qpos[:, at.object_qpos[:3]],
-            object_quat=data.qpos[:, at.object_qpos[3:]],
-            object_vel=data.qvel[:, at.object_dof],
-            tip_found=data.sensordata[:, at.tip_force[:, 0]] > 0,
-            tip_force=data.sensordata[:, at.tip_force[:, 1:]],
-            finger_force=data.sensordata[:, at.finger_force[:, 1:]],
-            constraints=data._impl.nefc.reshape(self.num_worlds),
+            object_pos=state.qpos[:, at.object_qpos[:3]],
+            object_quat=state.qpos[:, at.object_qpos[3:]],
+            object_vel=state.qvel[:, at.object_dof],
+            tip_found=sensed[:, at.tip_force[:, 0]] > 0,
+            tip_force=sensed[:, at.tip_force[:, 1:]],
+            finger_force=sensed[:, at.finger_force[:, 1:]],
+            constraints=found["nefc"],
             overflow=overflow,
         )
 
 
-def _buffer_overflow(data: mjx.Data) -> Bool[Array, " w"]:
-    """Whether a contact or constraint did not fit; reaching the iteration limit is no overflow."""
-    overflow = mujoco.mjx.third_party.mujoco_warp.OverflowType
-    full = int(overflow.NEFC | overflow.NJMAX_NNZ | overflow.BROADPHASE | overflow.NARROWPHASE)
-    return (data._impl.overflow & full) != 0
+class WarpWorlds:
+    """MuJoCo Warp's arrays of all worlds on one device; on a GPU a control tick as a graph."""
+
+    def __init__(self, scene: Scene, substeps: int, num_worlds: int, buffers: dict[str, int]):
+        self._substeps, self._graph = substeps, None
+        self.model = mjw.put_model(scene.model)
+        # Warp would print a line per world whose line search stops early; Truth has overflows.
+        self.model.opt.warn_overflow = False
+        self.model.opt.tolerance.fill_(scene.model.opt.tolerance)
+        self.data = mjw.make_data(scene.model, nworld=num_worlds, **buffers)
+        for name in _FIELDS:  # until now one row for all worlds
+            one = getattr(self.model, name)
+            setattr(self.model, name, wp.zeros((num_worlds, *one.shape[1:]), one.dtype))
+        arrays = {name: getattr(self.data, name) for name in _EACH}
+        self._each = {n: wp.zeros((substeps, *a.shape), a.dtype) for n, a in arrays.items()}
+
+    def captured(self) -> WarpWorlds:
+        """These, with the tick as a graph where the device is a GPU."""
+        if self.data.qpos.device.is_cuda:
+            self._steps()  # loads the kernels
+            with wp.ScopedCapture() as capture:
+                self._steps()
+            self._graph = capture.graph
+        return self
+
+    @property
+    def given(self) -> list[wp.array]:
+        """What a tick takes in: `_STATE` and `_FIELDS`."""
+        state = [getattr(self.data, name) for name in _STATE]
+        return state + [getattr(self.model, name) for name in _FIELDS]
+
+    @property
+    def found(self) -> list[wp.array]:
+        """What comes of it: `_LAST` and `_EACH`."""
+        return [getattr(self.data, name) for name in _LAST] + list(self._each.values())
+
+    def tick(self, *arrays: wp.array) -> None:
+        """Takes in, steps, and gives."""
+        given, found = self.given, self.found
+        for own, new in zip(given, arrays[: len(given)], strict=True):
+            wp.copy(own, new)
+        if self._graph is None:
+            self._steps()
+        else:
+            wp.capture_launch(self._graph)
+        for out, own in zip(arrays[len(given) :], found, strict=True):
+            wp.copy(out, own)
+
+    def _steps(self) -> None:
+        for step in range(self._substeps):
+            mjw.step(self.model, self.data)
+            for name, kept in self._each.items():
+                wp.copy(kept[step], getattr(self.data, name))
+
+
+def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
+    """A control tick as a function of JAX, from `_STATE` and `_FIELDS` to `_LAST` and `_EACH`.
+
+    Each device that calls it has arrays of its own. Warp lets in one call at a time, so devices
+    of JAX that are one to Warp, as those of a CPU are, may share them.
+    """
+    scene, substeps, on = physics.scene, physics.substeps, physics.on
+
+    def tick(*arrays: wp.array) -> None:
+        device = arrays[0].device.alias
+        if device not in on:
+            made = WarpWorlds(scene, substeps, physics.num_worlds, physics.buffers)
+            on[device] = made.captured()
+        on[device].tick(*arrays)
+
+    # Warp takes the arguments' types from the signature.
+    with wp.ScopedDevice("cpu"):
+        like = WarpWorlds(scene, substeps, 1, {"naconmax": 1, "njmax": 1})
+    found = {f"found_{k}": array for k, array in enumerate(like.found)}
+    arguments = {f"given_{k}": array for k, array in enumerate(like.given)} | found
+    types = {name: wp.array(dtype=a.dtype, ndim=a.ndim) for name, a in arguments.items()}
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    tick.__annotations__ = types
+    tick.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, kind, annotation=type_) for name, type_ in types.items()]
+    )
+    last = len(_LAST)
+    shapes = [(physics.num_worlds, *array.shape[1:]) for array in like.found[:last]]
+    shapes += [(substeps, physics.num_worlds, *array.shape[2:]) for array in like.found[last:]]
+    return wp.jax_callable(
+        tick,
+        num_outputs=len(found),
+        graph_mode=wp.JaxCallableGraphMode.NONE,
+        output_dims=dict(zip(found, shapes, strict=True)),
+    )
+
+
+def _buffers(num_worlds: int, contacts: int, constraints: int) -> dict[str, int]:
+    return {"naconmax": contacts * num_worlds, "njmax": constraints}
+
+
+def warp_bytes_per_world(scene: Scene) -> int:
+    """What MuJoCo Warp keeps of a world [bytes]."""
+
+    def size(worlds: int) -> int:
+        held = WarpWorlds(scene, 1, worlds, _buffers(worlds, _CONTACTS, _CONSTRAINTS))
+        return _bytes(held.data) + sum(array.capacity for array in held.given + held.found)
+
+    with wp.ScopedDevice("cpu"):
+        return size(2) - size(1)
+
+
+def _bytes(part: Any) -> int:
+    """Of the arrays within a record of Warp."""
+    if isinstance(part, wp.array):
+        return part.capacity
+    if not dataclasses.is_dataclass(part):
+        return 0
+    return sum(_bytes(getattr(part, field.name)) for field in dataclasses.fields(part))

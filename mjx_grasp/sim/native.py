@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +19,10 @@ from jaxtyping import Array, Bool, Float
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import (
+    Physics,
+    PhysicsState,
     Truth,
     WorldParams,
-    check_control_rate,
     finger_rows,
     inverse_dynamics_residual,
 )
@@ -31,16 +31,7 @@ from mjx_grasp.sim.scene import Scene, build_scene
 _FRAMES = ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
 
 
-class NativeState(NamedTuple):
-    """Everything that determines the future of the worlds."""
-
-    qpos: Float[Array, "w nq"]
-    qvel: Float[Array, "w nv"]
-    warmstart: Float[Array, "w nv"]
-    ctrl: Float[Array, "w nu"]
-
-
-class NativePhysics:
+class NativePhysics(Physics):
     """Native MuJoCo, one model per object and thread.
 
     Args:
@@ -50,8 +41,7 @@ class NativePhysics:
     """
 
     def __init__(self, scene: Scene, control_dt: float = 0.01, threads: int | None = None):
-        self.scene = scene
-        self.substeps = check_control_rate(scene, control_dt)
+        super().__init__(scene, control_dt)
         self._threads = threads or usable_cores()
         self._pool = ThreadPoolExecutor(self._threads)
         self._alone = threading.Lock()
@@ -67,30 +57,14 @@ class NativePhysics:
         self._rows = finger_rows(scene)
         self._readings = _reading_shapes(scene, self.substeps)
 
-    def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> NativeState:
-        """See `Physics.init`."""
-        zeros = jnp.zeros((qpos.shape[0], self.scene.model.nv), jnp.float32)
-        return NativeState(jnp.asarray(qpos, jnp.float32), zeros, zeros, jnp.asarray(ctrl))
-
-    def reset(
-        self,
-        state: NativeState,
-        mask: Bool[Array, " w"],
-        qpos: Float[Array, "w nq"],
-        ctrl: Float[Array, "w nu"],
-    ) -> NativeState:
-        """See `Physics.reset`."""
-        fresh = self.init(qpos, ctrl)
-        return jax.tree.map(lambda new, old: jnp.where(mask[:, None], new, old), fresh, state)
-
     def step(
         self,
-        state: NativeState,
+        state: PhysicsState,
         params: WorldParams,
         ctrl: Float[Array, "w nu"],
         wrench: Float[Array, "w 6"] | None = None,
         awake: Bool[Array, " w"] | None = None,
-    ) -> tuple[NativeState, Measured, Truth]:
+    ) -> tuple[PhysicsState, Measured, Truth]:
         """See `Physics.step`.
 
         Args:
@@ -110,7 +84,7 @@ class NativePhysics:
         }
         given = state._replace(ctrl=ctrl), params, wrench, awake
         out = jax.pure_callback(self._step_host, shapes, *given)
-        state = NativeState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
+        state = PhysicsState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
         residual = inverse_dynamics_residual(
             self._rows,
             out.pop("mass"),
@@ -135,17 +109,9 @@ class NativePhysics:
         )
         return state, measured, truth
 
-    def pack(self, state: NativeState) -> dict[str, Array]:
-        """See `Physics.pack`."""
-        return state._asdict()
-
-    def unpack(self, packed: dict[str, Array]) -> NativeState:
-        """See `Physics.unpack`."""
-        return NativeState(**packed)
-
     def _step_host(
         self,
-        state: NativeState,
+        state: PhysicsState,
         params: WorldParams,
         wrench: Float[Array, "w 6"],
         awake: Bool[Array, " w"],
@@ -225,7 +191,7 @@ class _World:
     def step(
         self,
         w: int,
-        state: NativeState,
+        state: PhysicsState,
         friction: float,
         mass_scale: float,
         wrench: Float[np.ndarray, " 6"],

@@ -10,7 +10,8 @@ leaves them; joints and the object's pose are those after it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,16 @@ from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.scene import Scene
 
-PhysicsState = Any
-"""An engine's own state: a pytree of arrays with the worlds in front."""
+
+class PhysicsState(NamedTuple):
+    """Everything that determines the future of the worlds."""
+
+    qpos: Float[Array, "w nq"]
+    qvel: Float[Array, "w nv"]
+    warmstart: Float[Array, "w nv"]
+    """acceleration at which the solver begins, that of the step before"""
+    ctrl: Float[Array, "w nu"]
+    """position commands [rad]"""
 
 
 class WorldParams(NamedTuple):
@@ -57,21 +66,28 @@ class Truth(NamedTuple):
     """whether a contact or constraint buffer overflowed during the tick"""
 
 
-@runtime_checkable
-class Physics(Protocol):
-    """Steps worlds of one scene. All methods are pure and may be called inside `jax.jit`."""
+class Physics(ABC):
+    """Steps worlds of one scene. All methods are pure and may be called inside `jax.jit`.
 
-    scene: Scene
-    substeps: int
-    """Physics steps per control tick."""
+    Args:
+        scene: The scene whose objects the worlds hold.
+        control_dt: Control period [s].
+    """
 
-    def init(
-        self,
-        qpos: Float[Array, "w nq"],
-        ctrl: Float[Array, "w nu"],
-    ) -> PhysicsState:
-        """A state at rest."""
-        ...
+    def __init__(self, scene: Scene, control_dt: float):
+        self.scene = scene
+        self.substeps = check_control_rate(scene, control_dt)
+
+    def init(self, qpos: Float[Array, "w nq"], ctrl: Float[Array, "w nu"]) -> PhysicsState:
+        """A state at rest.
+
+        Args:
+            qpos: Where everything is.
+            ctrl: Position commands [rad].
+        """
+        zeros = jnp.zeros((len(qpos), self.scene.model.nv), jnp.float32)
+        qpos, ctrl = jnp.asarray(qpos, jnp.float32), jnp.asarray(ctrl, jnp.float32)
+        return PhysicsState(qpos, zeros, zeros, ctrl)
 
     def reset(
         self,
@@ -81,21 +97,14 @@ class Physics(Protocol):
         ctrl: Float[Array, "w nu"],
     ) -> PhysicsState:
         """Puts the masked worlds at rest at `qpos`; the others are untouched."""
-        ...
+        fresh = self.init(qpos, ctrl)
+        return jax.tree.map(lambda new, old: jnp.where(mask[:, None], new, old), fresh, state)
 
+    @abstractmethod
     def step(
         self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
     ) -> tuple[PhysicsState, Measured, Truth]:
         """One control tick with position commands `ctrl` [rad]."""
-        ...
-
-    def pack(self, state: PhysicsState) -> dict[str, Array]:
-        """The arrays that determine the future, for a checkpoint."""
-        ...
-
-    def unpack(self, packed: dict[str, Array]) -> PhysicsState:
-        """The state that `pack` described."""
-        ...
 
 
 class FingerRows(NamedTuple):

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.sim.native import NativePhysics, NativeState, at_rest
-from mjx_grasp.sim.physics import Truth, make_params
+from mjx_grasp.sim.native import NativePhysics, at_rest
+from mjx_grasp.sim.physics import PhysicsState, Truth, make_params
 from mjx_grasp.sim.scene import Scene
 
 
@@ -49,7 +49,7 @@ class SimRobot:
         self._params = make_params(index, rub, mass_scale)
         self._order = np.argsort(scene.addresses.robot_ctrl)
         self._step = jax.jit(self._physics.step)
-        self._state: NativeState | None = None
+        self._state: PhysicsState | None = None
 
     @property
     def is_connected(self) -> bool:
@@ -98,7 +98,7 @@ class SimRobot:
         ctrl = jnp.asarray(target[None, self._order])
         self._state, *self._seen = self._step(state, self._params, ctrl)
 
-    def _connected(self) -> NativeState:
+    def _connected(self) -> PhysicsState:
         if self._state is None:
             raise InputError("SimRobot", "no connection", "connect() first")
         return self._state

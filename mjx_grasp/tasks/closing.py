@@ -212,17 +212,17 @@ class ClosingTask:
 
     def snapshot(self, state: ClosingState) -> dict[str, Array]:
         """See `Task.snapshot`."""
-        return {**self.physics.pack(state.physics), "row": state.episode.row}
+        return {**state.physics._asdict(), "row": state.episode.row}
 
     def pack(self, state: ClosingState) -> dict[str, Any]:
         """See `Task.pack`."""
-        packed = {"physics": self.physics.pack(state.physics), "rest": tuple(state[1:-1])}
+        packed = {"physics": state.physics, "rest": tuple(state[1:-1])}
         # Only where there is something: checkpoints of before have no such entry.
         return packed | ({"beside": state.beside} if state.beside else {})
 
     def unpack(self, packed: dict[str, Any]) -> ClosingState:
         """See `Task.unpack`."""
-        state = ClosingState(self.physics.unpack(packed["physics"]), *packed["rest"])
+        state = ClosingState(packed["physics"], *packed["rest"])
         return state._replace(beside=packed.get("beside", ()))
 
     def _controller(self) -> Closer:

@@ -15,8 +15,8 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Ways
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.sim.native import NativePhysics, NativeState
-from mjx_grasp.sim.physics import Truth, WorldParams
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.physics import PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_progress
 
@@ -76,7 +76,7 @@ class LiveTick(NamedTuple):
 class LiveState(NamedTuple):
     """All that goes from tick to tick; of one world, only the physics has it in front."""
 
-    physics: NativeState
+    physics: PhysicsState
     measured: Measured
     truth: Truth
     grasp: GraspState
@@ -94,7 +94,7 @@ def seen(truth: Truth) -> Seen:
 @partial(jax.jit, static_argnames="grasper")
 def begin(
     grasper: Grasper,
-    physics: NativeState,
+    physics: PhysicsState,
     measured: Measured,
     truth: Truth,
     known: Known,

@@ -15,7 +15,8 @@ import tiny_training as tiny
 from mjx_grasp.learning import run as run_module
 from mjx_grasp.learning.ppo import init_state
 from mjx_grasp.learning.run import LoopConfig, train_loop
-from mjx_grasp.sim.native import NativePhysics, NativeState
+from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.physics import PhysicsState
 
 BROKEN, FULL = 1, 2
 """The world whose state is made infinite, and the one whose buffers are always too small."""
@@ -66,7 +67,7 @@ def test_the_state_before_a_world_broke_is_kept_and_can_be_read(run):
     assert path.name == "broken_world_00000001.npz"
     with np.load(path) as stored:
         arrays = {name.strip("[]'"): stored[name] for name in stored.files}
-    assert set(arrays) == {*NativeState._fields, "row"}
+    assert set(arrays) == {*PhysicsState._fields, "row"}
     np.testing.assert_array_equal(arrays["qpos"], before["qpos"][BROKEN])
     assert not np.isfinite(arrays["qpos"][9]) and np.isfinite(arrays["ctrl"]).all()
     assert arrays["row"] == before["row"][BROKEN]

@@ -8,7 +8,6 @@ from scripted import draw_of
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.sim import mjx_engine
 from mjx_grasp.sim.mjx_engine import MjxPhysics
 from mjx_grasp.sim.physics import finger_dofs, make_params
 from mjx_grasp.sim.scene import build_scene
@@ -119,22 +118,31 @@ def test_follows_native_over_200_steps_with_contact(runs):
     np.testing.assert_allclose(force[0], force[1], rtol=0.1, atol=0.5)
 
 
+def push(physics, body, axis, forces):
+    """Pushes a body of every world along an axis until told otherwise [N]."""
+    held = physics.on["cpu"].data.xfrc_applied
+    wrenches = held.numpy()
+    wrenches[:, body, axis] = forces
+    held.assign(wrenches)
+
+
 def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
-    """One physics step per tick, so that MJX's own qfrc_constraint belongs to the reading."""
+    """One physics step per tick, so that Warp's own qfrc_constraint belongs to the reading."""
     physics = MjxPhysics(scene, len(ROWS), control_dt=0.002)
     step = checked(physics)
     state, seen = rest, 0.0
     for tick in range(150):
         state, measured, _ = step(state, params, ramp(scene, starts, tick / 3))
-        expected = np.asarray(state.qfrc_constraint)[:, finger_dofs(scene)]
+        warp = physics.on["cpu"].data
+        expected = warp.qfrc_constraint.numpy()[:, finger_dofs(scene)]
         np.testing.assert_allclose(measured.external_torque[:, 0], expected, atol=3e-3)
         seen = max(seen, np.abs(expected).max())
     assert seen > 0.05
     # A known force on the index tip: its Jᵀ f comes on top.
     tip = scene.model.body(scene.robot.hand.fingers[1].tip_body).id
-    pushed = state.replace(xfrc_applied=state.xfrc_applied.at[:, tip, 1].set(1.5))
-    _, loaded, _ = step(pushed, params, ramp(scene, starts, 50))
     _, free, _ = step(state, params, ramp(scene, starts, 50))
+    push(physics, tip, 1, [1.5] * len(ROWS))
+    _, loaded, _ = step(state, params, ramp(scene, starts, 50))
     import mujoco
 
     data, jac = mujoco.MjData(scene.model), np.zeros((3, scene.model.nv))
@@ -159,15 +167,18 @@ def test_full_buffers_are_reported(scene, starts, params, buffers):
     assert truth.overflow.any()
 
 
-def test_a_buffer_that_was_full_in_any_physics_step_is_reported(
-    mjx_physics, rest, params, starts, monkeypatch
-):
-    monkeypatch.setattr(mjx_engine, "_buffer_overflow", lambda data: jnp.asarray(next(full)))
-    full = iter(np.eye(mjx_physics.substeps, len(ROWS), dtype=bool))
-    # A function of its own, for the compiled step of the other tests is kept.
-    step = jax.jit(lambda *given: mjx_physics.step(*given))
-    _, _, truth = step(rest, params, starts.ctrl[ROWS])
-    assert next(full, None) is None and truth.overflow.all()
+def test_a_buffer_that_was_full_in_any_physics_step_is_reported(scene, starts, rest, params):
+    physics = MjxPhysics(scene, len(ROWS))
+
+    def tick(*arrays):
+        found = list(original(*arrays))
+        (flags,) = (k for k, x in enumerate(found) if x.dtype == jnp.int32 and x.ndim == 2)
+        found[flags] |= jnp.eye(physics.substeps, len(ROWS), dtype=jnp.int32)
+        return found
+
+    original, physics._tick = physics._tick, tick
+    _, _, truth = jax.jit(physics.step)(rest, params, starts.ctrl[ROWS])
+    assert truth.overflow.all()
 
 
 @pytest.mark.parametrize(("world", "touched"), [(0, True), (2, False)], ids=["box", "dumbbell"])
@@ -197,7 +208,7 @@ def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, nativ
     params = make_params(jnp.zeros(3, int), jnp.array([0.1, 0.3, 0.3]), jnp.array([1.0, 1, 3]))
     dof = scene.addresses.object_dof[0]
     state = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
-    state = state.replace(qvel=state.qvel.at[:, dof].set(0.4))
+    state = state._replace(qvel=state.qvel.at[:, dof].set(0.4))
     other = native.init(starts.qpos[rows], starts.ctrl[rows])
     other = other._replace(qvel=other.qvel.at[:, dof].set(0.4))
     for _ in range(6):
@@ -210,8 +221,9 @@ def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, nativ
     weight = scene.objects[0].mass * 9.81
     lifted = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
     body = scene.addresses.object_body
-    force = lifted.xfrc_applied.at[:, body, 2].set(2 * weight)
-    lifted, _, truth = step(lifted.replace(xfrc_applied=force), params, starts.ctrl[rows])
+    push(mjx_physics, body, 2, [2 * weight] * 3)
+    lifted, _, truth = step(lifted, params, starts.ctrl[rows])
+    push(mjx_physics, body, 2, [0] * 3)
     np.testing.assert_allclose(truth.object_vel[:2, 2], 9.81 * 0.01, rtol=0.1)
     assert abs(truth.object_vel[2, 2]) < 0.01
 
@@ -260,16 +272,19 @@ def test_reset_restarts_bit_for_bit_and_spares_the_others(
         np.testing.assert_array_equal(truth.tip_force[w], seen.tip_force[w])
 
 
-def test_packed_state_goes_on(scene, starts, mjx_physics, step, params, runs):
-    state = runs[2][25]
-    stored = {k: np.asarray(v) for k, v in mjx_physics.pack(state).items()}
-    again = mjx_physics.unpack({k: jnp.asarray(v) for k, v in stored.items()})
-    ctrl = ramp(scene, starts, 26)
-    for _ in range(2):
-        state, *expected = step(state, params, ctrl)
-        again, *found = step(again, params, ctrl)
+def test_a_stored_state_goes_on_in_worlds_that_were_elsewhere(
+    scene, starts, step, rest, params, runs
+):
+    stored = jax.tree.map(np.asarray, runs[2][25])
+    ctrl, found = ramp(scene, starts, 26), []
+    for before in (runs[2][24], rest):
+        step(before, params, ramp(scene, starts, 0))
+        state = stored
+        for _ in range(2):
+            state, *reported = step(state, params, ctrl)
+        found.append(reported)
     for name in ("q", "qd", "object_pos", "tip_force", "external_torque"):
-        np.testing.assert_array_equal(part(found, name), part(expected, name))
+        np.testing.assert_array_equal(*(part(reported, name) for reported in found))
 
 
 def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
@@ -283,7 +298,7 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
     inner = state.pipeline_state
     bad_qpos = inner.physics.qpos.at[1, 9].set(jnp.nan)
     broken = state.replace(
-        pipeline_state=inner._replace(physics=inner.physics.replace(qpos=bad_qpos))
+        pipeline_state=inner._replace(physics=inner.physics._replace(qpos=bad_qpos))
     )
     after = env_step(broken, action)
     clean = env_step(state, action)

@@ -35,8 +35,8 @@ from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.sim.native import NativePhysics, NativeState, at_rest
-from mjx_grasp.sim.physics import Truth, WorldParams, make_params
+from mjx_grasp.sim.native import NativePhysics, at_rest
+from mjx_grasp.sim.physics import PhysicsState, Truth, WorldParams, make_params
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_progress
 
@@ -99,7 +99,7 @@ class GraspEnd(NamedTuple):
 class _Carry(NamedTuple):
     """All that goes from tick to tick."""
 
-    physics: NativeState
+    physics: PhysicsState
     measured: Measured
     truth: Truth
     grasp: GraspState

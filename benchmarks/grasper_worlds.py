@@ -67,6 +67,8 @@ class WorldsBenchmarkConfig(ObjectsConfig):
     """of every grasp [s]"""
     physics_dt: Positive = SceneConfig().physics_dt
     """physics step [s]"""
+    solver_iterations: Count = SceneConfig().solver_iterations
+    """most Newton iterations of a physics step [-]"""
     engine: Engine = "mjx"
     controller: ClosingController = "policy"
     """what closes: the shipped policy on top of a grip that answers to load, or that grip alone"""
@@ -100,7 +102,8 @@ def main(config: WorldsBenchmarkConfig) -> None:
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
     if config.worlds % len(objects):
         raise InputError("--worlds", config.worlds, f"a multiple of the {len(objects)} objects")
-    scene = build_scene(objects, robot, SceneConfig(physics_dt=config.physics_dt))
+    settings = SceneConfig(physics_dt=config.physics_dt, solver_iterations=config.solver_iterations)
+    scene = build_scene(objects, robot, settings)
     physics: Physics = (
         MjxPhysics(scene, config.worlds, grasper.dt)
         if config.engine == "mjx"
@@ -115,6 +118,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
         "worlds": config.worlds,
         "objects": [obj.name for obj in objects],
         "physics_dt": config.physics_dt,
+        "solver_iterations": config.solver_iterations,
         "controller": config.controller,
         **measurements,
         "provenance": made,
@@ -143,6 +147,7 @@ def _run(
     worlds = worlds._replace(grasp=grasp)
     started = time.perf_counter()
     advance = jax.jit(partial(segment, grasper, physics)).lower(worlds, params, known).compile()
+    jax.block_until_ready(advance(worlds, params, known))  # Warp makes its arrays and graph
     compile_s = time.perf_counter() - started
 
     tick_s, phases, replans, replan_s, middle = [], [], 0, 0.0, worlds

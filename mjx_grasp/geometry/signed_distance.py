@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from mjx_grasp.geometry.loops import short_loop
 from mjx_grasp.geometry.vectors import dot, unit
 
 # Below this length in [m] a direction is rounding, and a fixed one is taken.
@@ -178,10 +179,8 @@ def _interpolated(
         parts = x * y * z, dx * y * z, x * dy * z, x * y * dz
         return tuple(s + part * found for s, part in zip(sums, parts, strict=True))
 
-    # A loop, which is not fused with what comes after it: on a processor every use of the normal
-    # would look all corners up again.
-    zero = jnp.zeros_like(shares[0])
-    value, *slope = jax.lax.fori_loop(0, 8, with_corner, (zero,) * 4)
+    none: tuple[Array, ...] = (jnp.zeros_like(shares[0]),) * 4
+    value, *slope = short_loop(8, with_corner, none)
     slope = [part / shape.spacing for part in slope]
     squared = beyond[0] ** 2 + beyond[1] ** 2 + beyond[2] ** 2
     outside = squared > 0

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -203,8 +203,8 @@ class Grasper:
         """
         state, seen = jax.vmap(self._noticed)(state, seen)
 
-        def reached(row: Int[Array, ""]) -> tuple[GraspState, GraspTick]:
-            return self._reach(*_of((state, measured, known, seen), row))
+        def reached(row: Int[Array, ""]) -> _Reached:
+            return _Reached.of(*self._reach(*_of((state, measured, known, seen), row)))
 
         def begun(row: Int[Array, ""]) -> ReachState:
             return self._reach_again(*_of((measured, known, seen, state.ways), row))
@@ -214,7 +214,8 @@ class Grasper:
             return jax.lax.cond(closes, self._close, self._stop, state, *given)
 
         rest = jax.vmap(otherwise)(state, measured, known, seen)
-        after, done = for_those(state.phase == Phase.REACHING, reached, rest)
+        found = for_those(state.phase == Phase.REACHING, reached, _Reached.of(*rest))
+        after, done = found.put(rest[0])
         after, anew = jax.vmap(self._begins_again)(state, after)
         after = after._replace(reach=for_those(anew, begun, after.reach))
         return jax.vmap(self._settled)(state, after, done)
@@ -438,6 +439,41 @@ class Grasper:
         return jnp.clip(
             self.policy.answer(observation(stack, budget, self.policy.observation)), -1, 1
         )
+
+
+class _Reached(NamedTuple):
+    """What a tick of reaching changes, so that nothing else is moved to and fro."""
+
+    phase: Int[Array, "*w"]
+    failure: Int[Array, "*w"]
+    reach: ReachState
+    reference: Float[Array, "*w n"]
+    fresh: Bool[Array, "*w"]
+    contacts: ThreePoints
+    handoff: Handoff
+    done: GraspTick
+
+    @classmethod
+    def of(cls, state: GraspState, done: GraspTick) -> _Reached:
+        """Taken from a state and its tick."""
+        closing = state.closing
+        return cls(
+            state.phase,
+            state.failure,
+            state.reach,
+            state.reference,
+            closing.fresh,
+            closing.contacts,
+            state.handoff,
+            done,
+        )
+
+    def put(self, state: GraspState) -> tuple[GraspState, GraspTick]:
+        """Put into a state, and its tick."""
+        changed = self._asdict()
+        done, fresh, contacts = (changed.pop(name) for name in ("done", "fresh", "contacts"))
+        closing = state.closing._replace(fresh=fresh, contacts=contacts)
+        return state._replace(**changed, closing=closing), done
 
 
 def _of(worlds: Any, row: Int[Array, ""]) -> Any:

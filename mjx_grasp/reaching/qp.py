@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.linear import full_precision
+from mjx_grasp.geometry.loops import short_loop
 from mjx_grasp.reaching.config import SolverConfig
 
 _TINY = 1e-12
@@ -98,31 +99,30 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     # A row without length binds nothing: its copy is free.
     b_s = jnp.where(row_scale > 1e5, jnp.minimum(b_s, 0.0), b_s)
     P_s = P * scale * scale[:, None]
-    lower_s, upper_s = lower / scale, upper / scale
     rho_b, rho_r, alpha = config.rho_box, config.rho_rows, config.relaxation
 
     n = q.shape[0]
     K = P_s + rho_b * jnp.eye(n, dtype=P.dtype) + rho_r * (A_s.T @ A_s)
-    K_inverse = inverse_spd(K)
-    start = -K_inverse @ (q * scale)
+    # y = K⁻¹ (rhs − q) and A y in one product; box and rows are one vector from here on.
+    to_both = inverse_spd(K) @ jnp.concatenate([jnp.eye(n, dtype=P.dtype), A_s]).T
+    begin = -(q * scale) @ to_both
+    least = jnp.concatenate([lower / scale, b_s])
+    most = jnp.concatenate([upper / scale, jnp.full_like(b, jnp.inf)])
 
     def iterate(_: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
-        box, rows, box_dual, rows_dual = state
-        rhs = rho_b * (box - box_dual) + rho_r * ((rows - rows_dual) @ A_s)
-        y = start + K_inverse @ rhs
-        y_mix = alpha * y + (1.0 - alpha) * box
-        row_mix = alpha * (A_s @ y) + (1.0 - alpha) * rows
-        new_box = jnp.clip(y_mix + box_dual, lower_s, upper_s)
-        new_rows = jnp.maximum(row_mix + rows_dual, b_s)
-        return new_box, new_rows, box_dual + y_mix - new_box, rows_dual + row_mix - new_rows
+        copy, dual = state
+        apart = copy - dual
+        rhs = rho_b * apart[:n] + rho_r * (apart[n:] @ A_s)
+        mixed = alpha * (begin + rhs @ to_both) + (1.0 - alpha) * copy
+        new = jnp.clip(mixed + dual, least, most)
+        return new, dual + mixed - new
 
-    state = (
-        warm.box / scale,
-        warm.rows * row_scale,
-        warm.box_dual * scale,
-        warm.rows_dual / row_scale,
+    state: tuple[Array, ...] = (
+        jnp.concatenate([warm.box / scale, warm.rows * row_scale]),
+        jnp.concatenate([warm.box_dual * scale, warm.rows_dual / row_scale]),
     )
-    box, rows, box_dual, rows_dual = jax.lax.fori_loop(0, config.iterations, iterate, state)
+    copy, dual = short_loop(config.iterations, iterate, state)
+    box, rows, box_dual, rows_dual = copy[:n], copy[n:], dual[:n], dual[n:]
     x = jnp.clip(box * scale, lower, upper)
     warm = WarmStart(x, rows / row_scale, box_dual / scale, rows_dual * row_scale)
     return Solution(x, jnp.max(b - A @ x), warm)

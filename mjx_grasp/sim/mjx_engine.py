@@ -34,8 +34,8 @@ from mjx_grasp.sim.scene import ObjectFields, Scene
 _STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 _FIELDS = (*ObjectFields.NAMES, "geom_friction")
 # of what comes out: as the last physics step leaves it, and as each step does.
-_LAST = ("qpos", "qacc_warmstart", "site_xpos", "site_xmat", "xaxis", "xanchor")
-_LAST += ("sensordata", "nefc")
+_FRAMES = ("site_xpos", "site_xmat", "xaxis", "xanchor")
+_LAST = ("qpos", "qacc_warmstart", *_FRAMES, "sensordata", "nefc")
 _EACH = ("qvel", "M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "overflow")
 # A contact or constraint that did not fit; reaching the iteration limit is no overflow.
 _FULL = mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ
@@ -218,7 +218,7 @@ def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
     scene, substeps, on = physics.scene, physics.substeps, physics.on
 
     def tick(*arrays: wp.array) -> None:
-        device = arrays[0].device.alias
+        device = str(arrays[0].device)
         if device not in on:
             made = WarpWorlds(scene, substeps, physics.num_worlds, physics.buffers)
             on[device] = made.captured()
@@ -229,7 +229,9 @@ def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
         like = WarpWorlds(scene, substeps, 1, {"naconmax": 1, "njmax": 1})
     found = {f"found_{k}": array for k, array in enumerate(like.found)}
     arguments = {f"given_{k}": array for k, array in enumerate(like.given)} | found
-    types = {name: wp.array(dtype=a.dtype, ndim=a.ndim) for name, a in arguments.items()}
+    types: dict[str, Any] = {
+        name: wp.array(dtype=a.dtype, ndim=a.ndim) for name, a in arguments.items()
+    }
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     tick.__annotations__ = types
     tick.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -4,14 +4,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mjx_grasp.pipeline.worlds import for_those
 
 
+@pytest.fixture(params=["cpu", "gpu"])
+def backend(request, monkeypatch):
+    """As it is computed on either."""
+    monkeypatch.setattr(jax, "default_backend", lambda: request.param)
+    return request.param
+
+
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
-def test_those_that_need_it_get_it_and_the_others_keep_theirs(need):
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_those_that_need_it_get_it_and_the_others_keep_theirs(backend, need):
     need = np.array(need)
     had = {"a": -jnp.arange(len(need)), "b": jnp.zeros((len(need), 2))}
     rows = jnp.arange(len(need))
@@ -25,9 +33,12 @@ def test_those_that_need_it_get_it_and_the_others_keep_theirs(need):
     np.testing.assert_array_equal(found["b"], np.where(need[:, None], everyone["b"], had["b"]))
 
 
-@pytest.mark.parametrize(("needy", "parts"), [(0, 0), (1, 1), (8, 1), (9, 2), (64, 8)])
-def test_it_is_computed_as_often_as_needed(needy, parts):
-    """In parts of an eighth of the worlds."""
+@pytest.mark.parametrize(
+    ("needy", "on_cpu", "on_gpu"),
+    [(0, 0, 0), (1, 4, 4), (4, 4, 4), (5, 8, 8), (16, 16, 16), (17, 20, 64), (64, 64, 64)],
+)
+def test_it_is_computed_as_often_as_needed(backend, needy, on_cpu, on_gpu):
+    """In parts of a sixteenth of the worlds; on a GPU for all where more than a fourth need it."""
     sizes = []
 
     def compute(row):
@@ -37,4 +48,4 @@ def test_it_is_computed_as_often_as_needed(needy, parts):
     need = jnp.arange(64) >= 64 - needy
     jax.jit(lambda need: for_those(need, compute, jnp.full(64, -1)))(need).block_until_ready()
     jax.effects_barrier()
-    assert len(sizes) == 8 * parts
+    assert len(sizes) == {"cpu": on_cpu, "gpu": on_gpu}[backend]

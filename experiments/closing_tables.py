@@ -271,6 +271,7 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
             rows.append(
                 (
                     str(file.provenance["device"]),
+                    str(file.provenance["git"])[:7],
                     _loop_name(row),
                     f"{row.objects}",
                     f"{row.worlds:,}{ticks}",
@@ -279,8 +280,8 @@ def throughput_table(files: Sequence[Results[ThroughputRow]]) -> Table:
                 )
             )
     memory = "JAX's memory GiB"
-    header = ("device", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
-    return Table("Speed and memory", header, tuple(rows), names=2)
+    header = ("device", "code", "loop", "objects", "worlds (× unroll)", "control steps/s", memory)
+    return Table("Speed and memory", header, tuple(rows), names=3)
 
 
 def _loop_name(row: ThroughputRow) -> str:
@@ -302,10 +303,10 @@ def _layers(files: Sequence[Results[ThroughputRow]]) -> Table:
             loops = (tick[name] for name in ("warp", "mjx", "task", "rollout", "ppo"))
             parts = (step.get(name, math.nan) for name in _STEP_PARTS.values())
             times = (f"{ms:.2f}" for ms in (*loops, *parts))
-            device = str(file.provenance["device"])
-            rows.append((device, f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
-    header = ("device", "worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO")
-    return Table("Layers", (*header, *_STEP_PARTS, "PPO / Warp"), tuple(rows), names=2)
+            which = str(file.provenance["device"]), str(file.provenance["git"])[:7]
+            rows.append((*which, f"{d['worlds']:,}", *times, f"{d['ratio_ppo_to_warp']:.2f}"))
+    header = ("device", "code", "worlds", "MuJoCo Warp", "in JAX", "task", "with policy", "PPO")
+    return Table("Layers", (*header, *_STEP_PARTS, "PPO / Warp"), tuple(rows), names=3)
 
 
 def _beginning(run: dict[str, Any]) -> str:

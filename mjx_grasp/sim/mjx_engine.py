@@ -233,10 +233,9 @@ def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
         name: wp.array(dtype=a.dtype, ndim=a.ndim) for name, a in arguments.items()
     }
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [inspect.Parameter(name, kind, annotation=type_) for name, type_ in types.items()]
     tick.__annotations__ = types
-    tick.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, kind, annotation=type_) for name, type_ in types.items()]
-    )
+    vars(tick)["__signature__"] = inspect.Signature(parameters)
     last = len(_LAST)
     shapes = [(physics.num_worlds, *array.shape[1:]) for array in like.found[:last]]
     shapes += [(substeps, physics.num_worlds, *array.shape[2:]) for array in like.found[last:]]

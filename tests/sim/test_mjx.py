@@ -287,6 +287,20 @@ def test_a_stored_state_goes_on_in_worlds_that_were_elsewhere(
         np.testing.assert_array_equal(*(part(reported, name) for reported in found))
 
 
+def test_the_solver_begins_with_the_acceleration_it_is_given(scene, starts, params, runs):
+    """What comes out is that of the last step; begun far from it, more iterations are needed."""
+    physics, before = MjxPhysics(scene, len(ROWS), control_dt=0.002), runs[2][35]
+    step, iterations = checked(physics), []
+    for warmstart in (before.warmstart, jnp.full_like(before.warmstart, 1e3)):
+        given = before._replace(warmstart=warmstart)
+        after, _, _ = jax.block_until_ready(step(given, params, before.ctrl))
+        data = physics.on["cpu"].data
+        np.testing.assert_array_equal(after.warmstart, data.qacc.numpy())
+        iterations.append(int(data.solver_niter.numpy().sum()))
+    assert np.abs(after.warmstart).max() > 0
+    assert iterations[0] < iterations[1]
+
+
 def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
     task = ClosingTask(mjx_physics, starts, ClosingTaskConfig(), StartNoise(offset_m=0.0))
     env = BraxTask(task, len(ROWS), stagger=False)

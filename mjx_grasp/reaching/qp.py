@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.linear import full_precision
-from mjx_grasp.geometry.loops import short_loop
+from mjx_grasp.reaching.admm import Splitting, iterated
 from mjx_grasp.reaching.config import SolverConfig
 
 _TINY = 1e-12
@@ -99,29 +99,27 @@ def solve_qp(problem: QP, warm: WarmStart, config: SolverConfig) -> Solution:
     # A row without length binds nothing: its copy is free.
     b_s = jnp.where(row_scale > 1e5, jnp.minimum(b_s, 0.0), b_s)
     P_s = P * scale * scale[:, None]
-    rho_b, rho_r, alpha = config.rho_box, config.rho_rows, config.relaxation
+    rho_b, rho_r = config.rho_box, config.rho_rows
 
     n = q.shape[0]
     K = P_s + rho_b * jnp.eye(n, dtype=P.dtype) + rho_r * (A_s.T @ A_s)
-    # y = K⁻¹ (rhs − q) and A y in one product; box and rows are one vector from here on.
-    to_both = inverse_spd(K) @ jnp.concatenate([jnp.eye(n, dtype=P.dtype), A_s]).T
-    begin = -(q * scale) @ to_both
-    least = jnp.concatenate([lower / scale, b_s])
-    most = jnp.concatenate([upper / scale, jnp.full_like(b, jnp.inf)])
-
-    def iterate(_: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
-        copy, dual = state
-        apart = copy - dual
-        rhs = rho_b * apart[:n] + rho_r * (apart[n:] @ A_s)
-        mixed = alpha * (begin + rhs @ to_both) + (1.0 - alpha) * copy
-        new = jnp.clip(mixed + dual, least, most)
-        return new, dual + mixed - new
-
-    state: tuple[Array, ...] = (
+    # Box and rows are one vector from here on: both = (y, A y).
+    both = jnp.concatenate([jnp.eye(n, dtype=P.dtype), A_s])
+    back = both @ inverse_spd(K)
+    splitting = Splitting(
+        there=both.T * jnp.concatenate([jnp.full(n, rho_b), jnp.full(len(b), rho_r)]),
+        back=back,
+        begin=-back @ (q * scale),
+        least=jnp.concatenate([lower / scale, b_s]),
+        most=jnp.concatenate([upper / scale, jnp.full_like(b, jnp.inf)]),
+    )
+    copy, dual = iterated(
+        splitting,
         jnp.concatenate([warm.box / scale, warm.rows * row_scale]),
         jnp.concatenate([warm.box_dual * scale, warm.rows_dual / row_scale]),
+        config.relaxation,
+        config.iterations,
     )
-    copy, dual = short_loop(config.iterations, iterate, state)
     box, rows, box_dual, rows_dual = copy[:n], copy[n:], dual[:n], dual[n:]
     x = jnp.clip(box * scale, lower, upper)
     warm = WarmStart(x, rows / row_scale, box_dual / scale, rows_dual * row_scale)

@@ -2,7 +2,7 @@
 
 Whole grasps from home in native MuJoCo, one after the other, on one core. A tick is timed from
 what is measured, in NumPy's arrays as a driver supplies them, to the joint targets, by the phase
-that it is in; physics and compilation apart.
+that it is in; physics and compilation apart. Between ticks the state is one vector.
 
   python benchmarks/grasper.py --objects-dir SCANS --out FILE.json
 """
@@ -30,6 +30,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Seen
 from mjx_grasp.reaching.planning import start_library
@@ -76,8 +77,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
     at = physics.scene.addresses
     order, home = np.argsort(at.robot_ctrl), np.asarray(robot.home, np.float32)
     plan = jax.jit(lambda *given: grasper.plan(library, *given))
-    start, tick = jax.jit(grasper.start), jax.jit(grasper.tick)
-    adopt, step = jax.jit(grasper.adopt), jax.jit(physics.step)
+    start, adopt, step = jax.jit(grasper.start), jax.jit(grasper.adopt), jax.jit(physics.step)
     ticks, plans = defaultdict(list), []
 
     def timed(kept: list[float], function: Any, *given: Any) -> Any:
@@ -101,14 +101,18 @@ def main(config: GrasperBenchmarkConfig) -> None:
             state = start(now, known[k], seen, ways)
             if w == 0:  # a search that avoids a place is another program
                 jax.block_until_ready(plan(known[k], seen, now.q, key, state.tried))
+                tick = FlatTick(grasper, state)
+            vector = tick.flat(state)
             for _ in range(round(_LONGEST_S / grasper.dt)):
                 phase = Phase(int(state.phase))
-                state, done = timed(ticks[phase], tick, state, now, known[k], seen)
+                vector, done = timed(ticks[phase], tick, vector, now, known[k], seen)
+                state = tick.state(vector)
                 world, measured, truth = step(world, params, done.target[None, order])
                 now, seen = jax.device_get((one(measured), seen_of(truth)))
                 if bool(done.plans_due):
                     found = timed(plans, plan, known[k], seen, now.q, key, state.tried)
                     state = adopt(state, found)
+                    vector = tick.flat(state)
                 held = float(state.clock - state.entered[Phase.HOLDING])
                 if state.phase == Phase.FAILED or held >= _HOLD_S:
                     break

@@ -33,6 +33,7 @@ from mjx_grasp.pipeline.assemble import (
     whole_grasps,
 )
 from mjx_grasp.pipeline.config import GrasperConfig
+from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known, Seen, Tried
@@ -239,6 +240,29 @@ def test_an_object_at_rest_whose_pose_is_noisy_rests(make, home, known):
     assert np.asarray(filtered)[60:].std(axis=0).max() < 0.6 * 0.005
     assert np.mean(moves[60:]) < 0.05 and not np.any(due)
     assert np.max(since) > 0.3, "what moves is waited for"
+
+
+def test_a_state_as_a_vector_goes_the_same_way(grasper, tick, begun, home, known, there):
+    """Through every kind of number in it: flags, counts, what is infinite or not there yet."""
+    flat, state = FlatTick(grasper, begun), begun
+    vector = flat.flat(state)
+    whats = [seen(p=there)] * 3 + [seen((True, True, True), there)] * 3 + [seen(p=there + 0.05)]
+    phases = set()
+    for what in whats:
+        state, done = tick(state, home, what)
+        vector, did = flat(vector, home, known, what)
+        jax.tree.map(np.testing.assert_array_equal, did, done)
+        found = flat.state(vector)
+        jax.tree.map(np.testing.assert_array_equal, found, state)
+        assert all(
+            a.dtype == b.dtype
+            for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(state), strict=True)
+        )
+        phases.add(int(state.phase))
+    assert phases == {Phase.CLOSING, Phase.LIFTING, Phase.FAILED}
+    np.testing.assert_array_equal(flat.flat(found), vector)
+    with pytest.raises(ValueError, match="numbers, expected"):
+        flat.flat(state._replace(reference=state.reference[1:]))
 
 
 def test_after_lift_onset_it_is_lost(tick, closing, home, there):

@@ -1,26 +1,31 @@
-"""Loops of a few cheap steps, as suits what runs them."""
+"""Sums of a few cheap terms, as suits what computes them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
 
 import jax
-from jaxtyping import Array
-
-Tree = TypeVar("Tree")
-
-_UNROLLED = 10  # steps in one turn, on a GPU
+import jax.numpy as jnp
+from jaxtyping import Array, Int
 
 
-def short_loop(count: int, step: Callable[[Array, Tree], Tree], begin: Tree) -> Tree:
-    """`jax.lax.fori_loop` from 0, unrolled where that is faster.
+def sum_over(count: int, terms: Callable[[Int[Array, ""]], tuple[Array, ...]]) -> tuple[Array, ...]:
+    """The sums over numbers from 0 of what a function makes of each.
 
-    On a GPU every turn of a loop is launches of kernels, and copies of what it carries; of several
-    steps in one turn XLA makes less. On a processor turns cost nothing, and as a loop is not fused
-    with what follows it, nothing is computed over for each use of what comes out.
+    On a GPU all terms are computed at once, as every kernel that is launched takes time. A
+    processor makes them one after the other, which needs no room for them; and as a loop is not
+    fused with what follows it, none is computed over for each use of the sums.
+
+    Args:
+        count: Of numbers.
+        terms: Of a number.
     """
     if jax.default_backend() == "cpu":
-        return jax.lax.fori_loop(0, count, step, begin)
-    found = jax.lax.fori_loop(0, count, step, begin, unroll=min(count, _UNROLLED))
-    return jax.lax.optimization_barrier(found)
+        begin = tuple(jnp.zeros(t.shape, t.dtype) for t in jax.eval_shape(terms, jnp.int32(0)))
+
+        def add(number: Int[Array, ""], sums: tuple[Array, ...]) -> tuple[Array, ...]:
+            return tuple(s + t for s, t in zip(sums, terms(number), strict=True))
+
+        return jax.lax.fori_loop(0, count, add, begin)
+    sums = tuple(jnp.sum(term, axis=0) for term in jax.vmap(terms)(jnp.arange(count)))
+    return jax.lax.optimization_barrier(sums)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.geometry.loops import short_loop
+from mjx_grasp.geometry.loops import sum_over
 from mjx_grasp.geometry.vectors import dot, unit
 
 # Below this length in [m] a direction is rounding, and a fixed one is taken.
@@ -171,16 +171,15 @@ def _interpolated(
         shares.append(inside - cells[-1])
         beyond.append((place - inside) * shape.spacing)
 
-    def with_corner(number: Int[Array, ""], sums: tuple[Array, ...]) -> tuple[Array, ...]:
+    def of_corner(number: Int[Array, ""]) -> tuple[Array, ...]:
         which = number // 4, number // 2 % 2, number % 2
         found = shape.values[tuple(c + w for c, w in zip(cells, which, strict=True))]
         x, y, z = (jnp.where(w == 1, t, 1.0 - t) for w, t in zip(which, shares, strict=True))
         dx, dy, dz = (2.0 * w - 1.0 for w in which)
         parts = x * y * z, dx * y * z, x * dy * z, x * y * dz
-        return tuple(s + part * found for s, part in zip(sums, parts, strict=True))
+        return tuple(part * found for part in parts)
 
-    none: tuple[Array, ...] = (jnp.zeros_like(shares[0]),) * 4
-    value, *slope = short_loop(8, with_corner, none)
+    value, *slope = sum_over(8, of_corner)
     slope = [part / shape.spacing for part in slope]
     squared = beyond[0] ** 2 + beyond[1] ** 2 + beyond[2] ** 2
     outside = squared > 0

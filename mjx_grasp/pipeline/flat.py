@@ -63,7 +63,7 @@ class FlatTick:
             ValueError: If it is of other shapes.
         """
         vector = ravel_pytree(state)[0]
-        if jax.tree.structure(state) != self._tree or vector.size != self._size:
+        if vector.size != self._size:
             raise ValueError(f"a state of {vector.size} numbers, expected one of {self._size}")
         return vector
 

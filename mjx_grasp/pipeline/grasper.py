@@ -203,21 +203,23 @@ class Grasper:
         """
         state, seen = jax.vmap(self._noticed)(state, seen)
 
-        def reached(row: Int[Array, ""]) -> _Reached:
-            return _Reached.of(*self._reach(*_of((state, measured, known, seen), row)))
+        def reached(given: tuple[Any, ...]) -> _Reached:
+            return _Reached.of(*self._reach(*given))
 
-        def begun(row: Int[Array, ""]) -> ReachState:
-            return self._reach_again(*_of((measured, known, seen, state.ways), row))
+        def begun(given: tuple[Any, ...]) -> ReachState:
+            return self._reach_again(*given)
 
         def otherwise(state: GraspState, *given: Any) -> tuple[GraspState, GraspTick]:
             closes = (state.phase != Phase.REACHING) & (state.phase != Phase.FAILED)
             return jax.lax.cond(closes, self._close, self._stop, state, *given)
 
         rest = jax.vmap(otherwise)(state, measured, known, seen)
-        found = for_those(state.phase == Phase.REACHING, reached, _Reached.of(*rest))
+        reaches, given = state.phase == Phase.REACHING, (state, measured, known, seen)
+        found = for_those(reaches, reached, given, _Reached.of(*rest))
         after, done = found.put(rest[0])
         after, anew = jax.vmap(self._begins_again)(state, after)
-        after = after._replace(reach=for_those(anew, begun, after.reach))
+        reach = for_those(anew, begun, (measured, known, seen, state.ways), after.reach)
+        after = after._replace(reach=reach)
         return jax.vmap(self._settled)(state, after, done)
 
     def _noticed(self, state: GraspState, seen: Seen) -> tuple[GraspState, Seen]:
@@ -474,8 +476,3 @@ class _Reached(NamedTuple):
         done, fresh, contacts = (changed.pop(name) for name in ("done", "fresh", "contacts"))
         closing = state.closing._replace(fresh=fresh, contacts=contacts)
         return state._replace(**changed, closing=closing), done
-
-
-def _of(worlds: Any, row: Int[Array, ""]) -> Any:
-    """One world of many."""
-    return jax.tree.map(lambda leaf: leaf[row], worlds)

@@ -1,30 +1,25 @@
-"""A short loop gives the same however it is compiled."""
+"""Sums of a few terms, at once or one after the other."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_grasp.geometry.loops import short_loop
+from mjx_grasp.geometry.loops import sum_over
 
 
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])
-@pytest.mark.parametrize("count", [0, 1, 8, 10, 23])
-def test_it_takes_each_step_once_in_order(backend, count, monkeypatch):
+@pytest.mark.parametrize("count", [1, 8, 23])
+def test_sums_are_those_of_the_terms(monkeypatch, backend, count):
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    powers = jnp.arange(1.0, 4.0)
 
-    def step(number, state):
-        digits, times = state
-        return 2 * digits + number, times + 1
+    def sums(powers):
+        return sum_over(count, lambda k: (k * powers, k + 0.0, (2 * k)))
 
-    def looped(begin):
-        return short_loop(count, step, (begin, jnp.zeros(3, jnp.int32)))
-
-    begin = jnp.arange(3)
-    expected = np.arange(3)
-    for number in range(count):
-        expected = 2 * expected + number
-    for run in (looped, jax.jit(looped), jax.vmap(lambda x: looped(x[None]))):
-        digits, times = run(begin)
-        np.testing.assert_array_equal(np.ravel(digits), expected)
-        assert (np.asarray(times) == count).all()
+    for compute in (sums, jax.jit(sums)):
+        a, b, c = compute(powers)
+        np.testing.assert_allclose(a, sum(range(count)) * np.array([1, 2, 3]))
+        assert (float(b), int(c), c.dtype) == (sum(range(count)), 2 * sum(range(count)), jnp.int32)
+    many = jax.vmap(sums)(jnp.stack([powers, 2 * powers]))
+    np.testing.assert_allclose(many[0][1], 2 * many[0][0])

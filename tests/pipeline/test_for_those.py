@@ -25,9 +25,9 @@ def test_those_that_need_it_get_it_and_the_others_keep_theirs(backend, need):
     rows = jnp.arange(len(need))
 
     def compute(row):
-        return {"a": rows[row] ** 2, "b": jnp.stack([row, row + 1.0])}
+        return {"a": row**2, "b": jnp.stack([row, row + 1.0])}
 
-    found = for_those(jnp.asarray(need), compute, had)
+    found = for_those(jnp.asarray(need), compute, rows, had)
     everyone = jax.vmap(compute)(rows)
     np.testing.assert_array_equal(found["a"], np.where(need, everyone["a"], had["a"]))
     np.testing.assert_array_equal(found["b"], np.where(need[:, None], everyone["b"], had["b"]))
@@ -35,17 +35,29 @@ def test_those_that_need_it_get_it_and_the_others_keep_theirs(backend, need):
 
 @pytest.mark.parametrize(
     ("needy", "on_cpu", "on_gpu"),
-    [(0, 0, 0), (1, 4, 4), (4, 4, 4), (5, 8, 8), (16, 16, 16), (17, 20, 64), (64, 64, 64)],
+    [
+        (0, 0, 0),
+        (1, 4, 4),
+        (4, 4, 4),
+        (5, 8, 16),
+        (16, 16, 16),
+        (17, 20, 32),
+        (32, 32, 32),
+        (33, 36, 64),
+        (64, 64, 64),
+    ],
 )
 def test_it_is_computed_as_often_as_needed(backend, needy, on_cpu, on_gpu):
-    """In parts of a sixteenth of the worlds; on a GPU for all where more than a fourth need it."""
+    """In parts of a sixteenth; on a GPU of a fourth for more, and for all if more than half do."""
     sizes = []
 
     def compute(row):
         jax.debug.callback(lambda row: sizes.append(int(row)), row)
         return row
 
-    need = jnp.arange(64) >= 64 - needy
-    jax.jit(lambda need: for_those(need, compute, jnp.full(64, -1)))(need).block_until_ready()
+    def run(need):
+        return for_those(need, compute, jnp.arange(64), jnp.full(64, -1))
+
+    jax.jit(run)(jnp.arange(64) >= 64 - needy).block_until_ready()
     jax.effects_barrier()
     assert len(sizes) == {"cpu": on_cpu, "gpu": on_gpu}[backend]

@@ -214,11 +214,12 @@ class Grasper:
             return jax.lax.cond(closes, self._close, self._stop, state, *given)
 
         rest = jax.vmap(otherwise)(state, measured, known, seen)
-        reaches, given = state.phase == Phase.REACHING, (state, measured, known, seen)
-        found = for_those(reaches, reached, given, _Reached.of(*rest))
+        reaches, now = state.phase == Phase.REACHING, (state, measured, known, seen)
+        found = for_those(reaches, reached, now, _Reached.of(*rest))
         after, done = found.put(rest[0])
         after, anew = jax.vmap(self._begins_again)(state, after)
-        reach = for_those(anew, begun, (measured, known, seen, state.ways), after.reach)
+        given = measured, known, seen, state.ways
+        reach = for_those(anew, begun, given, after.reach, cheap=True)
         after = after._replace(reach=reach)
         return jax.vmap(self._settled)(state, after, done)
 

@@ -9,21 +9,25 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 Given = TypeVar("Given")
 Tree = TypeVar("Tree")
 
-# A batch is worked through in parts of this share of all worlds: where few need something, one part
-# does.
+# A processor works through the worlds in parts of this share of all: where few need something, one
+# part does.
 _SHARE = 1 / 16
-# On a GPU a small part takes little less time than a large one. Where up to `_SOME` of all worlds
-# need something, the parts are of `_LARGER`; where more do, all worlds are computed at once.
-_SOME, _LARGER = 1 / 2, 1 / 4
+# A GPU computes at once for the least of these shares that holds all who need it: a small part
+# takes little less time than a large one, and asking for another means waiting for it.
+_SHARES = 1 / 16, 1 / 4
 
 
 def for_those(
-    need: Bool[Array, " w"], compute: Callable[[Given], Tree], given: Given, otherwise: Tree
+    need: Bool[Array, " w"],
+    compute: Callable[[Given], Tree],
+    given: Given,
+    otherwise: Tree,
+    cheap: bool = False,
 ) -> Tree:
     """What is computed for the worlds that need it, and what the others have.
 
@@ -32,17 +36,27 @@ def for_those(
         compute: What a world gets, of what it is given.
         given: To each world, stacked.
         otherwise: What the others keep, of all worlds.
+        cheap: Whether a GPU has it computed sooner than it is known who needs it.
     """
-    few, some = (partial(_in_parts, need, compute, given, otherwise, s) for s in (_SHARE, _LARGER))
+    worlds = len(need)
     if jax.default_backend() == "cpu":
-        return few()
-    # Without a part it takes none, however large that is.
-    above = np.asarray([_SHARE, _SOME]) * len(need)
-    kind = jnp.sum(jnp.sum(need) > above)
-    return jax.lax.switch(kind, [few, some, partial(_at_once, need, compute, given, otherwise)])
+        return _in_parts(need, compute, given, otherwise)
+    if cheap:
+        return _for_all(need, compute, given, otherwise)
+    sizes = sorted({_part(share, worlds) for share in _SHARES} - {worlds})
+    ways: list[Callable[[], Tree]] = [
+        lambda: otherwise,
+        *(partial(_for_some, need, compute, given, otherwise, size) for size in sizes),
+        partial(_for_all, need, compute, given, otherwise),
+    ]
+    return jax.lax.switch(jnp.sum(jnp.sum(need) > np.array([0, *sizes])), ways)
 
 
-def _at_once(
+def _part(share: float, worlds: int) -> int:
+    return max(1, round(share * worlds))
+
+
+def _for_all(
     need: Bool[Array, " w"], compute: Callable[[Given], Tree], given: Given, otherwise: Tree
 ) -> Tree:
     def chosen(new: Array, old: Array) -> Array:
@@ -51,15 +65,23 @@ def _at_once(
     return jax.tree.map(chosen, jax.vmap(compute)(given), otherwise)
 
 
-def _in_parts(
+def _for_some(
     need: Bool[Array, " w"],
     compute: Callable[[Given], Tree],
     given: Given,
     otherwise: Tree,
-    share: float,
+    size: int,
+) -> Tree:
+    """For all who need it: no more than so many do."""
+    rows = jnp.nonzero(need, size=size, fill_value=len(need))[0]
+    return _put(rows, compute, given, otherwise)
+
+
+def _in_parts(
+    need: Bool[Array, " w"], compute: Callable[[Given], Tree], given: Given, otherwise: Tree
 ) -> Tree:
     worlds = len(need)
-    part = max(1, round(share * worlds))
+    part = _part(_SHARE, worlds)
     rows = jnp.nonzero(need, size=-(-worlds // part) * part, fill_value=worlds)[0]
     count = jnp.sum(need)
 
@@ -69,10 +91,19 @@ def _in_parts(
     def next_part(carry: tuple[Array, Tree]) -> tuple[Array, Tree]:
         done, all_worlds = carry
         some = jax.lax.dynamic_slice(rows, (done,), (part,))
-        taken = jnp.minimum(some, worlds - 1)
-        found = jax.vmap(lambda row: compute(jax.tree.map(lambda leaf: leaf[row], given)))(taken)
-        # Rows beyond the last world fill the last part up: they are dropped.
-        put = jax.tree.map(lambda old, new: old.at[some].set(new, mode="drop"), all_worlds, found)
-        return done + part, put
+        return done + part, _put(some, compute, given, all_worlds)
 
     return jax.lax.while_loop(is_more, next_part, (jnp.int32(0), otherwise))[1]
+
+
+def _put(
+    rows: Int[Array, " r"], compute: Callable[[Given], Tree], given: Given, all_worlds: Tree
+) -> Tree:
+    """What some worlds get, put among all; rows beyond the last world stand for none."""
+
+    def of_world(row: Int[Array, ""]) -> Tree:
+        return compute(jax.tree.map(lambda leaf: leaf[row], given))
+
+    last = jax.tree.leaves(all_worlds)[0].shape[0] - 1
+    found = jax.vmap(of_world)(jnp.minimum(rows, last))
+    return jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), all_worlds, found)

@@ -9,6 +9,8 @@ and does all iterations.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +19,9 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 from jaxtyping import Array, Float
 
-_WARPS = 8  # that share a problem: 32 registers of each thread for either matrix
+_WARPS = 4  # that share a problem: fewer have no room for its matrices, more wait for each other
+
+CopyAndDual = tuple[Float[Array, " _"], Float[Array, " _"]]
 
 
 class Splitting(NamedTuple):
@@ -41,7 +45,7 @@ def iterated(
     dual: Float[Array, " N"],
     relaxation: float,
     count: int,
-) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+) -> CopyAndDual:
     """The copy within the bounds, and its scaled multipliers, after so many iterations.
 
     Args:
@@ -53,7 +57,8 @@ def iterated(
     """
     if jax.default_backend() == "gpu":
         return in_one_kernel(splitting, copy, dual, relaxation, count)
-    return _loop(splitting, copy, dual, relaxation, count, jnp.matmul)
+    ((copy, dual),) = _loop([splitting], [(copy, dual)], relaxation, count, jnp.matmul)
+    return copy, dual
 
 
 def in_one_kernel(
@@ -63,7 +68,7 @@ def in_one_kernel(
     relaxation: float,
     count: int,
     interpret: bool = False,
-) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+) -> CopyAndDual:
     """:func:`iterated` as one kernel of a GPU.
 
     Args:
@@ -74,45 +79,47 @@ def in_one_kernel(
         count: Iterations.
         interpret: Without a GPU, slowly.
     """
+    parts, starts = _cut(splitting, copy, dual)
 
     def kernel(*refs: Any) -> None:
-        *given, copy_out, dual_out = refs
-        *problem, copy, dual = (ref[...] for ref in given)
-        done = _loop(Splitting(*problem), copy, dual, relaxation, count, _product)
-        copy_out[...], dual_out[...] = done
+        parts, starts = jax.tree.map(lambda ref: ref[...], refs[:2])
+        found = _loop(parts, starts, relaxation, count, _product)
+        for (copy, dual), new in zip(refs[2:], found, strict=True):
+            copy[...], dual[...] = new
 
-    size = len(copy)
-    # Triton knows arrays whose sides are powers of two. What fills them up stays zero.
-    arrays = [_filled_up(array) for array in (*splitting, copy, dual)]
-    shape = jax.ShapeDtypeStruct(arrays[-1].shape, copy.dtype)
-    new = pl.pallas_call(
+    found = pl.pallas_call(
         kernel,
-        out_shape=(shape, shape),
+        out_shape=jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), starts),
         interpret=interpret,
         compiler_params=triton.CompilerParams(num_warps=_WARPS),
         name="admm",
-    )(*arrays)
-    return new[0][:size], new[1][:size]
+    )(parts, starts)
+    copies, duals = zip(*found, strict=True)
+    return jnp.concatenate(copies)[: len(copy)], jnp.concatenate(duals)[: len(dual)]
 
 
 def _loop(
-    splitting: Splitting,
-    copy: Float[Array, " N"],
-    dual: Float[Array, " N"],
+    parts: list[Splitting],
+    starts: list[CopyAndDual],
     relaxation: float,
     count: int,
     product: Callable[[Array, Array], Array],
-) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
-    there, back, begin, least, most = splitting
+) -> list[CopyAndDual]:
+    """The iterations; the bounded numbers may be in several parts."""
 
-    def iterate(_: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        copy, dual = state
-        found = begin + product(back, product(there, copy - dual))
-        mixed = relaxation * found + (1.0 - relaxation) * copy
-        new = jnp.clip(mixed + dual, least, most)
-        return new, dual + mixed - new
+    def iterate(_: Array, state: list[CopyAndDual]) -> list[CopyAndDual]:
+        shares = [product(part.there, c - d) for part, (c, d) in zip(parts, state, strict=True)]
+        rhs = reduce(jnp.add, shares)
 
-    return jax.lax.fori_loop(0, count, iterate, (copy, dual))
+        def moved(part: Splitting, copy: Array, dual: Array) -> CopyAndDual:
+            found = part.begin + product(part.back, rhs)
+            mixed = relaxation * found + (1.0 - relaxation) * copy
+            new = jnp.clip(mixed + dual, part.least, part.most)
+            return new, dual + mixed - new
+
+        return [moved(part, *of) for part, of in zip(parts, state, strict=True)]
+
+    return jax.lax.fori_loop(0, count, iterate, starts)
 
 
 def _product(matrix: Float[Array, "a b"], vector: Float[Array, " b"]) -> Float[Array, " a"]:
@@ -120,6 +127,24 @@ def _product(matrix: Float[Array, "a b"], vector: Float[Array, " b"]) -> Float[A
     return jnp.sum(matrix * vector[None], axis=1)
 
 
-def _filled_up(array: Array) -> Array:
-    """With zeros, to powers of two."""
-    return jnp.pad(array, [(0, pl.next_power_of_2(size) - size) for size in array.shape])
+def _cut(
+    splitting: Splitting, copy: Float[Array, " N"], dual: Float[Array, " N"]
+) -> tuple[list[Splitting], list[CopyAndDual]]:
+    """Arrays whose sides are powers of two, as Triton wants them; what fills them up stays zero.
+
+    Cut where a power of two ends, if what is left needs less filling up than the whole does.
+    """
+    size = len(copy)
+    at = pl.next_power_of_2(size) // 2
+    ends = [0, size] if 2 * (size - at) > at else [0, at, size]
+
+    def pieces(array: Array, axis: int = 0) -> list[Array]:
+        cuts = [jax.lax.slice_in_dim(array, *ab, axis=axis) for ab in pairwise(ends)]
+        return [
+            jnp.pad(cut, [(0, pl.next_power_of_2(side) - side) for side in cut.shape])
+            for cut in cuts
+        ]
+
+    there, back, *rest = splitting
+    parts = zip(pieces(there, axis=1), pieces(back), *map(pieces, rest), strict=True)
+    return [Splitting(*part) for part in parts], [*zip(pieces(copy), pieces(dual), strict=True)]

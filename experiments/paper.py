@@ -136,7 +136,7 @@ PARTS = (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96 "
             f"--max-rounds 3 --seed 11 --objects-dir SCANS --out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
-            f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 "
+            f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 12 "
             "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
             "--processes CORES --out experiments/results/objects/reached.json",
             f"experiments/heavy_objects.py --objects-dir SCANS --handoffs {FOLDER}/reached_all.npz "

@@ -76,6 +76,7 @@ def grasper_worlds(paths: Sequence[Path]) -> str:
                 f"{d['worlds']:,}",
                 str(len(d["objects"])),
                 f"{1e3 * d['physics_dt']:g}",
+                str(d["solver_iterations"]),
                 *(f"{times[what]:.2f}" for what in ("physics", "ticks", "with plans")),
                 f"{plan_ms:.1f}",
                 f"{d['lifted_percent']:.1f}",
@@ -83,8 +84,8 @@ def grasper_worlds(paths: Sequence[Path]) -> str:
             )
         )
     header = (
-        "device", "worlds", "objects", "physics step ms", "physics alone", "with controllers",
-        "and plans", "a plan ms", "lifted %", "compiling s",
+        "device", "worlds", "objects", "physics step ms", "Newton steps", "physics alone",
+        "with controllers", "and plans", "a plan ms", "lifted %", "compiling s",
     )  # fmt: skip
     return markdown(Table("Many grasps", header, tuple(rows))) if rows else NOTHING
 

@@ -572,11 +572,11 @@ def test_many_grasps_at_once_have_their_table(tmp_path):
     times = {"physics": 1.234, "ticks": 0.9, "with plans": 0.8}
     record = {
         "worlds": 4096, "objects": ["a", "b"], "physics_dt": 0.005, "plan_s": 40.96,
-        "times_real_time": times, "lifted_percent": 99.0, "compile_s": {"a": 20.0, "b": 1.0},
+        "times_real_time": times, "lifted_percent": 99.0, "compile_s": {"a": 20.0, "b": 1.0}, "solver_iterations": 6,
     }  # fmt: skip
     path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
     _, _, row = table([path]).splitlines()
-    assert values(row)[1:] == ["4,096", "2", "5", "1.23", "0.90", "0.80", "10.0", "99.0", "21"]
+    assert values(row)[1:] == ["4,096", "2", "5", "6", "1.23", "0.90", "0.80", "10.0", "99.0", "21"]
 
 
 def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):

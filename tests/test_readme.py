@@ -572,7 +572,8 @@ def test_many_grasps_at_once_have_their_table(tmp_path):
     times = {"physics": 1.234, "ticks": 0.9, "with plans": 0.8}
     record = {
         "worlds": 4096, "objects": ["a", "b"], "physics_dt": 0.005, "plan_s": 40.96,
-        "times_real_time": times, "lifted_percent": 99.0, "compile_s": {"a": 20.0, "b": 1.0}, "solver_iterations": 6,
+        "times_real_time": times, "lifted_percent": 99.0, "compile_s": {"a": 20.0, "b": 1.0},
+        "solver_iterations": 6,
     }  # fmt: skip
     path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
     _, _, row = table([path]).splitlines()

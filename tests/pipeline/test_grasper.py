@@ -1,6 +1,7 @@
 """Laws of the controller of whole grasps: its phases, their transitions, its batches."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -38,6 +39,7 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known, Seen, Tried
 from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching import admm
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint
@@ -306,6 +308,12 @@ def everywhere(grasper, tick, home, known, closing, there):
     return rows
 
 
+@pytest.fixture(scope="module")
+def alone(tick, everywhere):
+    """What one tick makes of each."""
+    return [tick(*row) for row in everywhere]
+
+
 def close(a, b, atol=2e-5):
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=atol, rtol=1e-4), a, b)
 
@@ -321,14 +329,25 @@ def test_a_batch_is_the_map_over_its_robots(grasper, tick, known, everywhere):
         close(jax.tree.map(lambda leaf, k=k: leaf[k], mapped), alone, atol)
 
 
-def test_many_worlds_are_the_map_over_them(grasper, tick, known, everywhere):
-    """However many reach: more than one part of the batch holds, a few, or none."""
-    alone = [tick(*row) for row in everywhere]
+@pytest.fixture(params=["cpu", "gpu"])
+def backend(request, monkeypatch):
+    """As it is computed on either; what is a kernel of a GPU is interpreted."""
+    if request.param == "gpu":
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        kernel = partial(admm.in_one_kernel, interpret=True)
+        monkeypatch.setattr(admm, "in_one_kernel", kernel)
+
+
+def test_many_worlds_are_the_map_over_them(backend, grasper, known, everywhere, alone):
+    """However many of sixteen reach: none, those of a part or more, or nearly all."""
     together = jax.jit(grasper.ticks)
-    for phases in ([0] * 9 + [1, 2, 0, 3], [2, 3, 0, 4, 1, 2, 3, 3, 2, 0, 3], [1, 2, 3, 4]):
+    objects = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[known] * 16)
+    for reaching in (0, 1, 4, 8):
+        phases = np.resize([1, 2, 3, 4], 16)
+        phases[::-1][: 2 * reaching : 2] = Phase.REACHING
+        assert np.sum(phases == Phase.REACHING) == reaching
         rows = [everywhere[phase] for phase in phases]
         state, measured, what = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
-        objects = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[known] * len(rows))
         found = together(state, measured, objects, what)
         for k, phase in enumerate(phases):
             atol = 2e-3 if phase == Phase.REACHING else 2e-5

@@ -6,6 +6,8 @@ friction inside its cone, a torque about the normal. No controller can hold the 
 less; one whose fingers end elsewhere, or roll, may.
 
   python experiments/least_force.py --objects-dir SCANS
+
+Objects without a start state are left out.
 """
 
 from __future__ import annotations
@@ -97,9 +99,9 @@ def main(config: LeastForceConfig) -> None:
     path = config.handoffs or shipped_handoffs(config.objects_dir)
     stored = load_handoffs(path, robot=load_robot())
     names, without = eligible([asked.name for asked in find_objects(config.objects)], stored)
-    if without:
+    if not names:
         raise InputError("--objects", without, f"some of {', '.join(stored.object_names)}")
-    objects = {obj.name: obj for obj in load_objects(config.objects, config.objects_dir)}
+    objects = {obj.name: obj for obj in load_objects(names, config.objects_dir)}
     states = states_of(stored, names, "evaluation")
     rows: list[dict[str, Any]] = []
     with counting_progress(Console(stderr=True)) as bar:
@@ -126,6 +128,7 @@ def main(config: LeastForceConfig) -> None:
     record = {
         "schema": SCHEMA,
         "settings": to_record(config),
+        "not_eligible": without,
         "sha256": file_digests(handoffs=path),
         "provenance": provenance(0),
         "rows": rows,

@@ -109,6 +109,28 @@ def _mean(
     return f"mean of {len(own)}", _PARTS[part], "", *cells, published
 
 
+def statics(path: Path) -> str:
+    """For each object, the force that its start states need, and how many no force can hold.
+
+    Args:
+        path: Results file of `least_force.py`, of one friction.
+
+    Raises:
+        FileError: It cannot be read.
+    """
+    if not path.exists():
+        return NOTHING
+    lines, shares = [], []
+    for row in read_json(path, "a results file")["rows"]:
+        forces = [force for force in row["forces_n"] if force is not None]
+        shares.append(100 * len(forces) / len(row["forces_n"]))
+        need = f"{np.median(forces):.1f}" if forces else ""
+        lines.append((row["object"].replace("_", " "), need, f"{shares[-1]:.0f}"))
+    lines.append(("mean", "", f"{np.mean(shares):.1f}"))
+    header = "object", "least force N", "states that some force holds %"
+    return markdown(Table("Statics", header, tuple(lines), summary=1))
+
+
 def heavy(path: Path) -> str:
     """Success on the heaviest objects, a line for each, a column for each grip and finger strength.
 

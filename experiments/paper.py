@@ -139,6 +139,9 @@ PARTS = (
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 12 "
             "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
             "--processes CORES --out experiments/results/objects/reached.json",
+            "experiments/least_force.py --objects-dir SCANS --objects train held_out "
+            f"--handoffs {FOLDER}/reached_all.npz --frictions 0.8 "
+            "--out experiments/results/objects/least_force.json",
             f"experiments/heavy_objects.py --objects-dir SCANS --handoffs {FOLDER}/reached_all.npz "
             "--processes CORES",
         ),

@@ -58,6 +58,16 @@ def test_objects_without_start_states_are_named(tables, results, tmp_path):
     assert tables.objects(tmp_path / "none.json") == "_No results file yet._"
 
 
+def test_states_that_no_force_holds_are_counted(tables, tmp_path):
+    path = tmp_path / "least_force.json"
+    assert tables.statics(path) == "_No results file yet._"
+    rows = [("mug", [1.0, 3.0, 2.0, None]), ("bowl", [None, None])]
+    path.write_text(json.dumps({"rows": [{"object": n, "forces_n": f} for n, f in rows]}))
+    lines = [[c.strip(" *") for c in line.split("|")[1:-1]] for line in
+             tables.statics(path).splitlines()[2:]]  # fmt: skip
+    assert lines == [["mug", "2.0", "75"], ["bowl", "", "0"], ["mean", "", "37.5"]]
+
+
 def test_heavy_objects_are_gripped_harder_and_by_stronger_fingers(tables, tmp_path):
     script, out = importlib.import_module("heavy_objects"), tmp_path / "heavy.json"
     script.main(

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.wrench_margin import ContactConfig
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+STATES = EXPERIMENTS.parent / "assets" / "handoffs_standins.npz"
 WALLS = np.array([[0.03, 0.0, 0.0], [-0.03, 0.012, 0.0], [-0.03, -0.012, 0.0]])
 INWARD = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 CENTRE = np.zeros(3)
@@ -89,3 +91,16 @@ def test_the_table_has_the_share_of_states_for_which_a_budget_can_do(
     assert "(1.0–inf) | 50 | 75 |" in table
     for line, within in (("mean", 87.5), ("mean, 10 % above", 87.5), ("mean, 20 % above", 75.0)):
         assert f"| **{line}** |  |  | **75.0** | **{within}** |" in table
+
+
+def test_objects_without_states_are_left_out(
+    script: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    module, out = script("least_force"), tmp_path / "least.json"
+    names = ("foam_brick", "mini_soccer_ball")
+    module.main(module.LeastForceConfig(objects=names, handoffs=STATES, frictions=(0.8,), out=out))
+    found = json.loads(out.read_text())
+    assert [row["object"] for row in found["rows"]] == ["foam_brick"]
+    assert found["not_eligible"] == ["mini_soccer_ball"]
+    with pytest.raises(InputError, match="mini_soccer_ball"):
+        module.main(module.LeastForceConfig(objects=names[1:], handoffs=STATES, out=out))

@@ -1,8 +1,7 @@
 """`Grasper.tick` for the control loop of one robot, where every microsecond of a tick counts.
 
-What a compiled function takes and returns costs some microseconds an array, and the state of a
-grasp is eighty of them: handing it in and out takes as long as half of the arithmetic. Here it is
-one vector.
+What a compiled function takes and returns costs time for every array, however small, and the state
+of a grasp is some eighty of them. Here it is one vector.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 from jaxtyping import Array, Float
 
-_WARPS = 4  # that share a problem: fewer have no room for its matrices, more wait for each other
+_WARPS = 4  # that share a problem; two or eight take about as long, one far longer
 
 CopyAndDual = tuple[Float[Array, " _"], Float[Array, " _"]]
 

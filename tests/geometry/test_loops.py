@@ -15,11 +15,12 @@ def test_sums_are_those_of_the_terms(monkeypatch, backend, count):
     powers = jnp.arange(1.0, 4.0)
 
     def sums(powers):
-        return sum_over(count, lambda k: (k * powers, k + 0.0, (2 * k)))
+        return sum_over(count, lambda k: ((k + 1) * powers, k + 1.0, 2 * (k + 1)))
 
     for compute in (sums, jax.jit(sums)):
         a, b, c = compute(powers)
-        np.testing.assert_allclose(a, sum(range(count)) * np.array([1, 2, 3]))
-        assert (float(b), int(c), c.dtype) == (sum(range(count)), 2 * sum(range(count)), jnp.int32)
+        total = sum(range(1, count + 1))
+        np.testing.assert_allclose(a, total * np.array([1, 2, 3]))
+        assert (float(b), int(c), c.dtype) == (total, 2 * total, jnp.int32)
     many = jax.vmap(sums)(jnp.stack([powers, 2 * powers]))
     np.testing.assert_allclose(many[0][1], 2 * many[0][0])

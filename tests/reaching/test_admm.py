@@ -56,7 +56,10 @@ def test_one_iteration_against_the_formulas(problems):
 
 def test_triton_knows_the_kernel(problems):
     """Everything but the last step, which takes a GPU: for many problems, and for one."""
-    kernel = lambda s, c, d: in_one_kernel(s, c, d, 1.6, 50)  # noqa: E731
+
+    def kernel(splitting, copy, dual):
+        return in_one_kernel(splitting, copy, dual, 1.6, 50)
+
     for function, given in (
         (jax.vmap(kernel), problems),
         (kernel, jax.tree.map(lambda leaf: leaf[0], problems)),

@@ -37,8 +37,6 @@ from mjx_grasp.records.settings import CommandSettings, Positive, Several, to_re
 from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.least_force/1"
-GRAVITY = 9.81
-"""[m/s²]"""
 _RINGS, _AROUND = np.linspace(0.0, 1.0, 9), 24
 """Shares of the friction, and directions of it, that contact forces are made of."""
 _LENGTH = 0.05
@@ -114,8 +112,7 @@ def main(config: LeastForceConfig) -> None:
                     centre = states.object_pos[state] + turned.apply(obj.com)
                     where, out = states.target_pos[state], states.target_normal[state]
                     contact = ContactConfig(friction=friction)
-                    weight = GRAVITY * obj.mass
-                    forces.append(least_mean_force(where, -out, centre, weight, contact))
+                    forces.append(least_mean_force(where, -out, centre, obj.weight, contact))
                     bar.update(job, advance=1)
                 rows.append(
                     {

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.grasp.targets import TargetOptions, closest_axis, standoffs
 from mjx_grasp.handoff.config import PostureConfig
@@ -18,7 +17,9 @@ from mjx_grasp.posture.ik import TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, choose_starts
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.posture.touch import touching
+from mjx_grasp.reaching.holding import can_hold
+from mjx_grasp.reaching.still import StillObject
 
 # Pairs worked on at once: few enough for a processor's cache, many enough for an accelerator.
 _TILE = 32
@@ -54,6 +55,8 @@ class Attempts(NamedTuple):
     """from where a lift straight up should bring the palm to where it does [m]"""
     touch_error: Float[Array, "n s"]
     """that the worst finger stays away from its contact when it closes [m]"""
+    holds: Bool[Array, "n s"]
+    """whether the closed hand can hold the object at its contacts"""
     position: Float[Array, "n s 3 3"]
     """targets of thumb, first and second wrap, world [m]"""
     normal: Float[Array, "n s 3 3"]
@@ -66,7 +69,7 @@ def attempt_all(
     library: Library,
     config: PostureConfig,
     targets: TargetConfig,
-    shape: Shape,
+    what: StillObject,
     pairs: Pairs,
 ) -> Attempts:
     """Looks for postures of all pairs.
@@ -76,7 +79,7 @@ def attempt_all(
         library: Where the solver may start.
         config: Starts, solver, clearances.
         targets: The standoffs.
-        shape: The object.
+        what: The object; its candidates are those of the pairs.
         pairs: What is tried.
     """
     home, key = jnp.asarray(body.home), jax.random.key(0)
@@ -85,7 +88,7 @@ def attempt_all(
         position = pair.p_wo + pair.ways.position @ pair.R_wo.T
         normal = pair.ways.normal @ pair.R_wo.T
         goals = TipGoals(standoffs(position, normal, targets), -normal)
-        around = Surroundings.still(shape, pair.p_wo, pair.R_wo)
+        around = Surroundings.still(what.shape, pair.p_wo, pair.R_wo, what.com, what.weight)
         options = Options(goals, pair.admissible)
         starts = choose_starts(body, library, config.starts, options, around, home, key)
 
@@ -94,6 +97,7 @@ def attempt_all(
             found = solve_ik(body, config.ik, config.clearances, wanted, around, start, home)
             approach = body.palm.forward(found.q)[1][0] @ body.approach_axis
             # What the selection would take does not depend on heights.
+            closed = touching(body, found.q, position[way])
             taken = closest_axis(jnp.abs(approach @ pair.R_wo), pair.ways.usable[::2])
             return Attempts(
                 q=found.q,
@@ -102,7 +106,10 @@ def attempt_all(
                 cost=jnp.where(pair.admissible[way], found.cost, jnp.inf),
                 agrees=pair.ways.axis[way] == taken,
                 lift_error=scripted_lift(body, found.q, config.lift_height).error,
-                touch_error=jnp.max(touch_errors(body, found.q, position[way])),
+                touch_error=jnp.max(closed.error),
+                holds=can_hold(
+                    body, config.must_hold, closed.q, position[way], normal[way], around
+                ),
                 position=position[way],
                 normal=normal[way],
             )

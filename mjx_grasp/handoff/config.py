@@ -15,6 +15,7 @@ from mjx_grasp.records.settings import (
     Count,
     NonNegative,
     Positive,
+    PositiveOrNever,
     Range,
     Seed,
     Settings,
@@ -80,6 +81,9 @@ class PostureConfig(Settings):
     touch_error: Annotated[float, Range(0, finite=False)] = 0.022
     """a posture from which a closing finger stays farther from its contact is refused; inf refuses
     none, as published [m]"""
+    must_hold: PositiveOrNever = 0.8
+    """friction with which the contacts have to hold the object by what the thumb's motors can
+    press, or the posture is refused; inf refuses none, as published [-]"""
 
 
 @dataclass(frozen=True)

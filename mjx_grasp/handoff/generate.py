@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.mesh import vertex_areas
-from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
 from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.grasp.targets import WAYS, TargetOptions, admissible, target_options
@@ -36,6 +35,7 @@ from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library
+from mjx_grasp.reaching.still import StillObject
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
@@ -54,13 +54,12 @@ class _Task(NamedTuple):
     """What does not change from round to round."""
 
     obj: ObjectModel
-    candidates: Candidates
+    what: StillObject
     options: TargetOptions
     area: Float[np.ndarray, " c"]
     """of the surface around each candidate [m²]"""
     suits: Bool[np.ndarray, " c"]
     """which candidates have a sufficient score"""
-    shape: Shape
     checker: CollisionChecker
 
 
@@ -109,7 +108,9 @@ class HandoffGenerator:
             surface = heatmap_surface(obj.mesh, config.heatmap)
             area = vertex_areas(np.asarray(surface.vertices), np.asarray(surface.faces))
             shape = collision_field(obj, config.posture.grid)
-            task = _Task(obj, candidates, options, area, suits, shape, checker)
+            com, weight = jnp.asarray(obj.com, jnp.float32), jnp.float32(obj.weight)
+            what = StillObject(shape, candidates, com, weight)
+            task = _Task(obj, what, options, area, suits, checker)
             accepted: list[_Accepted] = []
             for _ in range(config.max_rounds):
                 accepted += self._round(task, report, rng)
@@ -126,7 +127,7 @@ class HandoffGenerator:
         self, task: _Task, report: ObjectReport, rng: np.random.Generator
     ) -> list[_Accepted]:
         """Draws poses and candidates, solves them all, checks what converged."""
-        sampling, candidates = self._config.sampling, task.candidates
+        sampling, candidates = self._config.sampling, task.what.candidates
         resting = poses_at_rest(task.obj, sampling.standing)
         pos, quat = sample_object_poses(resting, sampling.poses_per_round, sampling, rng)
         # Rounded to what the file holds, so that exactly the saved state is checked.
@@ -155,7 +156,7 @@ class HandoffGenerator:
         )
         posture, targets = self._config.posture, self._config.targets
         tried = Pairs(ways, *map(jnp.asarray, (high[pose, candidate], pos[pose], turns[pose])))
-        found = attempt_all(self._body, self._library, posture, targets, task.shape, tried)
+        found = attempt_all(self._body, self._library, posture, targets, task.what, tried)
         found = jax.tree.map(np.asarray, found)
         accepted = []
         for n in range(len(pairs)):
@@ -195,6 +196,8 @@ class HandoffGenerator:
                 outcome = "lift"
             elif found.touch_error[start] > self._config.posture.touch_error:
                 outcome = "touch"
+            elif not found.holds[start]:
+                outcome = "hold"
             else:
                 reason = collision(np.asarray(found.q[start]))
                 if reason is None:

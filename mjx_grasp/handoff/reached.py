@@ -17,10 +17,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.handoff.config import HandoffConfig
+from mjx_grasp.handoff.config import HandoffConfig, PostureConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.handoff.rows import Row, as_set
@@ -30,8 +30,10 @@ from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.lift import scripted_lift
-from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.touch import touching
 from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.holding import can_hold
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import GATES, ReachPreset, with_gate
 from mjx_grasp.reaching.still import (
@@ -171,7 +173,7 @@ class ReachedGenerator:
         rows: list[Row] = []
         q = np.zeros((count, len(self._robot.joints)), np.float32)
         q[:, self._columns] = found.q
-        for n, outcome in enumerate(self._outcomes(task.checker, found, q, pos, quat)):
+        for n, outcome in enumerate(self._outcomes(task, placed, found, q, pos, quat)):
             report.poses_without_candidate += outcome == "no-candidate"
             report.converged += outcome not in ("no-candidate", "not-reached")
             if outcome is not None:
@@ -194,7 +196,8 @@ class ReachedGenerator:
 
     def _outcomes(
         self,
-        checker: CollisionChecker,
+        task: _Task,
+        placed: Placed,
         found: Arrival,
         q: Float[np.ndarray, "n joints"],
         pos: Float[np.ndarray, "n 3"],
@@ -202,37 +205,71 @@ class ReachedGenerator:
     ) -> Iterator[str | None]:
         """Why each reach is refused; None if it is not."""
         posture = self._config.posture
-        lift, touch = _ahead(self._reacher.body, posture.lift_height, found, self._worlds)
+        body, worlds = self._reacher.body, self._worlds
+        ahead = _ahead(body, posture, task.what, placed, found, worlds)
         for n, outcome in enumerate(found.outcome):
             if outcome == ReachOutcome.NO_CANDIDATE:
                 yield "no-candidate"
             elif outcome != ReachOutcome.HANDOFF:
                 yield "not-reached"
-            elif lift[n] > posture.lift_error:
+            elif ahead.lift[n] > posture.lift_error:
                 yield "lift"
-            elif touch[n] > posture.touch_error:
+            elif ahead.touch[n] > posture.touch_error:
                 yield "touch"
+            elif not ahead.holds[n]:
+                yield "hold"
             else:
-                yield checker.reason(q[n], pos[n], quat[n])
+                yield task.checker.reason(q[n], pos[n], quat[n])
+
+
+class _Ahead(NamedTuple):
+    """What would come of states, worlds in front."""
+
+    lift: Float[Array, " n"]
+    """from where a lift straight up should bring the palm to where it does [m]"""
+    touch: Float[Array, " n"]
+    """that the worst finger stays away from its contact when it closes [m]"""
+    holds: Bool[Array, " n"]
+    """whether the closed hand can hold the object"""
 
 
 def _ahead(
-    body: Body, height: float, found: Arrival, worlds: int
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """What a lift straight up and a closing hand would lack of their ends, in one size [m]."""
+    body: Body,
+    config: PostureConfig,
+    what: StillObject,
+    placed: Placed,
+    found: Arrival,
+    worlds: int,
+) -> _Ahead:
+    """What would come of where reaches ended; computed in parts of one size."""
     count, parts = len(found.q), []
     for first in range(0, count, worlds):
         rows = np.minimum(np.arange(first, first + worlds), count - 1)
-        part = _lacking(body, height, found.q[rows], found.position[rows])
+        at = placed.p_wo[rows], placed.R_wo[rows]
+        part = _come_of(
+            body, config, what, *at, found.q[rows], found.position[rows], found.normal[rows]
+        )
         kept = min(worlds, count - first)
-        parts.append([np.asarray(leaf)[:kept] for leaf in part])
-    lift, touch = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
-    return lift, touch
+        parts.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-@partial(jax.jit, static_argnames=("body", "height"))
-def _lacking(
-    body: Body, height: float, q: Float[Array, "n joints"], contacts: Float[Array, "n 3 3"]
-) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    lift = jax.vmap(lambda q: scripted_lift(body, q, height).error)(q)
-    return lift, jnp.max(jax.vmap(partial(touch_errors, body))(q, contacts), axis=-1)
+@partial(jax.jit, static_argnames=("body", "config"))
+@partial(jax.vmap, in_axes=(None, None, None, 0, 0, 0, 0, 0))
+def _come_of(
+    body: Body,
+    config: PostureConfig,
+    what: StillObject,
+    p_wo: Float[Array, " 3"],
+    R_wo: Float[Array, "3 3"],
+    q: Float[Array, " joints"],
+    contacts: Float[Array, "3 3"],
+    normals: Float[Array, "3 3"],
+) -> _Ahead:
+    around = Surroundings.still(what.shape, p_wo, R_wo, what.com, what.weight)
+    closed = touching(body, q, contacts)
+    return _Ahead(
+        lift=scripted_lift(body, q, config.lift_height).error,
+        touch=jnp.max(closed.error),
+        holds=can_hold(body, config.must_hold, closed.q, contacts, normals, around),
+    )

@@ -19,7 +19,8 @@ from mjx_grasp.sim.collision import REASONS
 
 # Why a candidate at an object pose came to nothing, the one that got farthest last.
 OUTCOMES = (
-    *("no-candidate", "not-reached", "unreachable", "limits", "reach-axis", "lift", "touch"),
+    *("no-candidate", "not-reached", "unreachable", "limits", "reach-axis"),
+    *("lift", "touch", "hold"),
     *reversed(REASONS),
 )
 
@@ -131,6 +132,7 @@ _COLUMNS = {
     "axis": ("reach-axis",),
     "lift": ("lift",),
     "touch": ("touch",),
+    "hold": ("hold",),
     "self": ("self",),
     "arm": ("arm-table", "arm-object"),
     "table": ("hand-table",),
@@ -139,9 +141,9 @@ _COLUMNS = {
 _CAPTION = (
     "tried, and refused for: no inverse kinematics, candidate or end of the reach; an axis that "
     "the selection would not take; an arm that cannot lift straight up from there; a finger that "
-    "cannot touch its contact; a collision of the robot with itself, of the arm, of the hand with "
-    "table or object. Feasible are the others, kept as many as were asked for, few of each drawn "
-    "candidate."
+    "cannot touch its contact; contacts at which the hand has not the force to hold it; a "
+    "collision of the robot with itself, of the arm, of the hand with table or object. Feasible "
+    "are the others, kept as many as were asked for, few of each drawn candidate."
 )
 
 

@@ -28,6 +28,8 @@ from mjx_grasp.objects.resting import RestingPose, resting_poses
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.provenance import usable_cores
 
+GRAVITY = 9.81
+"""[m/s²]"""
 _CACHE_FORMAT = 3
 
 Derived = tuple[tuple[Piece, ...], float]
@@ -59,6 +61,11 @@ class ObjectModel:
     """SHA-256 of the mesh in whole micrometres; handoff states belong to one."""
     parts: Mapping[str, Part] = field(default_factory=dict)
     """Named parts."""
+
+    @property
+    def weight(self) -> float:
+        """[N]"""
+        return GRAVITY * self.mass
 
 
 def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:

@@ -12,6 +12,7 @@ from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.candidates import Candidates, first_and_rest
+from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
@@ -38,7 +39,6 @@ STEERED_SCORE = 0.5
 STEERED_AT_LEAST = (32, 128, 512)
 """So many of those that can be used where the object lies are looked at, one number after the other
 where there is no good posture; one or two are seldom within reach [-]."""
-_GRAVITY = 9.81  # m/s²
 
 
 def whole_grasps(
@@ -47,7 +47,8 @@ def whole_grasps(
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
-    last: the farther short, the later. So do contacts near an edge and those that need much force.
+    last: the farther short, the later. So do contacts near an edge and those that need much force;
+    those that no force of this hand can hold are not used.
     Short ways count more than in reaching alone.
 
     Args:
@@ -81,6 +82,7 @@ def whole_grasps(
         haste=6.0,
         touch_weight=200.0,
         hold_weight=8.0,
+        must_hold=ContactConfig().friction,
         press_weight=4.0,
         heavier=1.25,
         edge_weight=800.0,
@@ -144,7 +146,7 @@ def known_object(
         candidates = first_and_rest(heatmap, None, CANDIDATES - CANDIDATES // 4, CANDIDATES)
     else:
         candidates = steered_candidates(heatmap, jnp.asarray(score))
-    weight, com = jnp.float32(_GRAVITY * obj.mass), jnp.asarray(obj.com, jnp.float32)
+    weight, com = jnp.float32(obj.weight), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
 
 

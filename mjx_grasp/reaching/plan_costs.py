@@ -5,6 +5,8 @@ An attempt may lack a solution, a straight lift or a closing finger after it, or
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +26,7 @@ from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings, to_object
 from mjx_grasp.posture.touch import pressing_force, touching
 from mjx_grasp.reaching.approach import deviation
+from mjx_grasp.reaching.holding import can_hold, pull
 from mjx_grasp.reaching.plan_config import PlanConfig
 
 FAILED = 1e4
@@ -66,6 +69,8 @@ def closing_costs(
 ) -> Float[Array, " n"]:
     """What postures lack in their approach, and for closing, pressing and lifting after them [s].
 
+    Those whose contacts cannot hold the object are `FAILED`, if that is looked at.
+
     Args:
         body: The robot.
         plan: The search's settings.
@@ -82,7 +87,7 @@ def closing_costs(
         lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
         lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
     weight = around.weight if plan.press_weight > 0 else None
-    if not np.isfinite(plan.touch_error) and weight is None:
+    if weight is None and not (np.isfinite(plan.touch_error) or np.isfinite(plan.must_hold)):
         return _LACKING * lacking
     closed = jax.vmap(lambda q, at: touching(body, q, at))(q, contacts)
     if np.isfinite(plan.touch_error):
@@ -90,8 +95,11 @@ def closing_costs(
         lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
         late = plan.touch_weight * touch
     if weight is not None:
-        load = _pull(around, weight)
+        load = pull(around, weight)
         late = late + _press_costs(body, plan, closed.q, contacts, normals, load)
+    if np.isfinite(plan.must_hold):
+        holds = partial(can_hold, body, plan.must_hold, around=around)
+        late = jnp.where(jax.vmap(holds)(closed.q, contacts, normals), late, FAILED)
     return _LACKING * lacking + late
 
 
@@ -112,7 +120,7 @@ def light_enough(
     if not np.isfinite(plan.heavier):
         return jnp.ones(len(contacts), bool)
     contact = ContactConfig(friction=plan.press_friction)
-    force = about_holding_force(contacts, _pull(around, 1.0), contact)
+    force = about_holding_force(contacts, pull(around, 1.0), contact)
     return force <= plan.heavier * jnp.min(jnp.where(admissible, force, jnp.inf))
 
 
@@ -132,7 +140,7 @@ def slip_costs(
     """
     lacking = jnp.zeros(len(contacts))
     if plan.hold_weight > 0:
-        load, contact = _pull(around, 1.0), ContactConfig(friction=plan.hold_friction)
+        load, contact = pull(around, 1.0), ContactConfig(friction=plan.hold_friction)
         force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
         # The thumb bears half the weight, and of walls that stand upright by friction alone.
         excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
@@ -164,12 +172,6 @@ def _press_costs(
     # Contacts that cannot hold it at all count as asking for a finite force.
     most = plan.hold_most * norm(jnp.asarray(load.force))
     return plan.press_weight * jnp.minimum(jax.vmap(lacking)(q, contacts, normals), most)
-
-
-def _pull(around: Surroundings, weight: Float[Array, ""] | float) -> Load:
-    """A weight at the object's centre of mass, world."""
-    com = jnp.zeros(3) if around.com is None else around.com
-    return Load(jnp.array([0.0, 0.0, -1.0]) * weight, around.p_wo + around.R_wo @ com)
 
 
 def circles(

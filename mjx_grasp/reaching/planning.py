@@ -30,6 +30,7 @@ from mjx_grasp.reaching.approach import approaching
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
+from mjx_grasp.reaching.holding import opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.plan_costs import (
     FAILED,
@@ -176,6 +177,9 @@ class Planner:
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options
         at = around.p_wo + ways.targets.position @ around.R_wo.T
+        if np.isfinite(plan.must_hold):
+            # In the object's frame: it does not matter how that lies.
+            allowed &= opposing(plan.must_hold, ways.targets.position, ways.targets.normal)
         allowed = allowed & (light_enough(plan, allowed, at, around) | ~light)
         options = Options(goals, allowed)
         starts = choose_starts(body, library, plan.starts, options, around, q, key)

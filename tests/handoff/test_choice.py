@@ -23,6 +23,7 @@ def first_clear(
     limit=False,
     lift=(GOOD, GOOD),
     touch=(GOOD, GOOD),
+    holds=(True, True),
     hit=None,
 ):
     """Two starts, the second one cheaper; the choice and the reason against it."""
@@ -34,6 +35,7 @@ def first_clear(
         agrees=np.array(agrees),
         lift_error=np.array(lift),
         touch_error=np.array(touch),
+        holds=np.array(holds),
         q=np.arange(2),
         position=np.zeros((2, 3, 3)),
         normal=np.zeros((2, 3, 3)),
@@ -50,6 +52,7 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
     assert first_clear([GOOD, GOOD], usable=(True, False)) == (0, None)
     assert first_clear([GOOD, GOOD], lift=(GOOD, BAD)) == (0, None)
     assert first_clear([GOOD, GOOD], touch=(GOOD, BAD)) == (0, None)
+    assert first_clear([GOOD, GOOD], holds=(True, False)) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -60,6 +63,7 @@ def test_the_cheapest_start_that_nothing_speaks_against_is_taken():
         ("reach-axis", {"error": [BAD, GOOD], "agrees": (False, False)}),
         ("lift", {"error": [GOOD, GOOD], "agrees": (True, False), "lift": (BAD, BAD)}),
         ("touch", {"error": [GOOD, GOOD], "lift": (GOOD, BAD), "touch": (BAD, BAD)}),
+        ("hold", {"error": [GOOD, GOOD], "touch": (GOOD, BAD), "holds": (False, False)}),
         ("hand-object", {"error": [BAD, GOOD], "hit": {1: "hand-object"}}),
         ("self", {"error": [GOOD, GOOD], "hit": {0: "self"}, "agrees": (True, False)}),
     ],

@@ -6,12 +6,15 @@ from collections import Counter
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from typed import refusal
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.signed_distance import Sphere
 from mjx_grasp.handoff.config import HandoffConfig, PostureConfig, SamplingConfig
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.generate import HandoffGenerator
@@ -19,7 +22,9 @@ from mjx_grasp.handoff.report import OUTCOMES, report_table
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.lift import scripted_lift
-from mjx_grasp.posture.touch import touch_errors
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.touch import touch_errors, touching
+from mjx_grasp.reaching.holding import can_hold
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 
@@ -129,6 +134,21 @@ def test_from_every_state_the_arm_can_lift_straight_up_and_the_fingers_touch(gen
     assert np.all(lift.error <= posture.lift_error + 1e-4)
     touch = jax.vmap(lambda q, at: touch_errors(body, q, at))(handoffs.q, handoffs.target_pos)
     assert np.all(touch <= posture.touch_error + 1e-4)
+
+
+def test_from_every_state_the_hand_can_hold_the_object(generated, config, brick):
+    handoffs, _ = generated
+    body, friction = robot_body(load_robot()), config.posture.must_hold
+
+    def holds(q, contacts, normals, p_wo, quat):
+        turn, com = so3.quat_to_mat(quat), jnp.float32(brick.com)
+        anything = Sphere(jnp.float32(0.01))
+        around = Surroundings.still(anything, p_wo, turn, com, jnp.float32(brick.weight))
+        closed = touching(body, q, contacts).q
+        return can_hold(body, friction, closed, contacts, normals, around)
+
+    states = handoffs.q, handoffs.target_pos, handoffs.target_normal
+    assert jax.vmap(holds)(*states, handoffs.object_pos, handoffs.object_quat).all()
 
 
 def test_every_pair_is_accounted_for(generated):

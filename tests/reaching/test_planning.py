@@ -249,6 +249,33 @@ def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
     assert np.median(shift) > 0.01 and min(shift) >= -1e-3
 
 
+def test_plans_use_contacts_that_can_hold_alone(planned):
+    """Of candidates whose wraps were turned to another face none is planned for."""
+    reacher, plan, poses, _, _ = planned
+    library = start_library(reacher.body, plan)
+    home, key = jnp.asarray(reacher.body.home), jax.random.key(0)
+
+    def turned(candidates, which):
+        up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), candidates.wrap_normal.shape)
+        normal = jnp.where(which[:, None], up, candidates.wrap_normal)
+        return candidates._replace(wrap_normal=normal)
+
+    @partial(jax.jit, static_argnames="must_hold")
+    def search(must_hold, around, which):
+        candidates = turned(candidates_of(reacher, around.shape), which)
+        planner = Planner(reacher, replace(plan, must_hold=must_hold))
+        return planner.search(library, candidates, around, home, key).plans
+
+    count = candidates_of(reacher, _world(poses, 0).shape).score.shape[0]
+    for k in range(2):
+        around = _world(poses, k)
+        first = search(float("inf"), around, jnp.zeros(count, bool))
+        bad = jnp.zeros(count, bool).at[first.candidate].set(True)
+        plans = search(0.8, around, bad)
+        assert plans.guide.known[0] and not bad[plans.candidate[0]]
+        assert not search(0.8, around, jnp.ones(count, bool)).guide.known.any()
+
+
 def test_contacts_that_ask_for_little_more_than_the_least_are_light_enough(planned):
     """Upright walls ever farther beside the centre of mass."""
     _, plan, _, _, _ = planned

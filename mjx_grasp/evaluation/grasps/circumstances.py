@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Faults
 from mjx_grasp.geometry.vectors import norm, unit
+from mjx_grasp.objects.model import GRAVITY
 
-_GRAVITY = 9.81  # m/s²
 _BELT_GAIN = 40.0
 """How fast a belt that slips takes an object along: force per mass and missing speed [1/s]."""
 _ON_THE_TABLE_M = 0.005
@@ -129,7 +129,7 @@ def belt_wrench(
     belt, mass = given.belt, given.mass
     moving = (since >= 0) & (since < belt.lasts_s) & (rise < _ON_THE_TABLE_M)
     moving &= jnp.any(belt.velocity != 0.0, axis=-1)
-    most = given.friction * mass * _GRAVITY
+    most = given.friction * mass * GRAVITY
     missing = (belt.velocity - velocity).at[:, 2].set(0.0)
     wanted = _BELT_GAIN * mass[:, None] * missing
     share = jnp.minimum(1.0, most / jnp.maximum(norm(wanted), 1e-9))

@@ -1,0 +1,69 @@
+"""Whether a hand can hold an object at its contacts at all: what they ask for, what motors press.
+
+Contacts whose normals do not oppose each other, or that are far beside the centre of mass, may ask
+for more force than any policy has. What closes on them drops the object, whatever it has learned.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mjx_grasp.geometry.vectors import dot, unit
+from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
+from mjx_grasp.posture.body import Body
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.posture.touch import pressing_force
+
+
+def pull(around: Surroundings, weight: Float[Array, ""] | float) -> Load:
+    """A weight [N] at the object's centre of mass, world."""
+    com = jnp.zeros(3) if around.com is None else around.com
+    return Load(jnp.array([0.0, 0.0, -1.0]) * weight, around.p_wo + around.R_wo @ com)
+
+
+def opposing(
+    friction: float, contacts: Float[Array, "*n 3 3"], normals: Float[Array, "*n 3 3"]
+) -> Bool[Array, "*n"]:
+    """Whether the line from the thumb to the middle of the wraps is in the friction cones of both.
+
+    What an antipodal grasp needs, and much cheaper than `can_hold`.
+
+    Args:
+        friction: Of the contacts [-].
+        contacts: Thumb, first and second wrap [m].
+        normals: Outward unit normals of the surface there [-].
+    """
+    least = np.cos(np.arctan(friction))
+    line = unit(0.5 * (contacts[..., 1, :] + contacts[..., 2, :]) - contacts[..., 0, :])
+    wraps = unit(normals[..., 1, :] + normals[..., 2, :])
+    return (dot(line, -normals[..., 0, :]) >= least) & (dot(line, wraps) >= least)
+
+
+def can_hold(
+    body: Body,
+    friction: float,
+    closed: Float[Array, " joints"],
+    contacts: Float[Array, "3 3"],
+    normals: Float[Array, "3 3"],
+    around: Surroundings,
+) -> Bool[Array, ""]:
+    """Whether the thumb's motors press as hard as contacts ask for to hold the object.
+
+    Of an object of unknown weight: whether any force holds it. One posture; many are a ``vmap``.
+
+    Args:
+        body: The robot.
+        friction: Of the contacts; with infinite friction any hold [-].
+        closed: Configuration with the fingers on their contacts, as from `touching` [rad].
+        contacts: Thumb, first and second wrap, world [m].
+        normals: Outward unit normals of the surface there, world [-].
+        around: The object.
+    """
+    if np.isinf(friction):
+        return jnp.asarray(True)
+    weight = jnp.zeros(()) if around.weight is None else around.weight
+    share = holding_force(contacts, -normals, pull(around, 1.0), ContactConfig(friction=friction))
+    most = pressing_force(body, closed, -normals)[0]
+    return jnp.isfinite(share) & (jnp.where(weight > 0, share * weight, 0.0) <= most)

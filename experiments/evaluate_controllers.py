@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -70,6 +71,9 @@ Condition = Literal[
     "nominal", "offset10", "offset20", "friction04", "friction05", "friction11",
     "light", "heavy", "hard", "soft", "stiff",
 ]  # fmt: skip
+_TOGETHER = 4
+"""Objects of a job: so few that there are enough jobs for many cores, so many that compiling a
+controller is the smaller part of one."""
 NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
 
@@ -261,11 +265,18 @@ def _load(config: ComparisonConfig) -> _Evaluator:
     return _Evaluator(world, names, without, policy, states.reached)
 
 
-def _evaluated(own: _Evaluator, chosen: EvaluateConfig) -> dict[str, Any]:
-    """Rows of one controller under one condition, and incidents, for the journal."""
-    controller = own.policy if chosen.controller == "policy" else None
+class _Job(NamedTuple):
+    """One controller under one condition, on some of the objects."""
+
+    chosen: EvaluateConfig
+    names: list[str]
+
+
+def _evaluated(own: _Evaluator, job: _Job) -> dict[str, Any]:
+    """Its rows, and incidents, for the journal."""
+    controller = own.policy if job.chosen.controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
-    rows, trials = evaluate(own.world, own.names, chosen, controller, own.reached, quiet)
+    rows, trials = evaluate(own.world, job.names, job.chosen, controller, own.reached, quiet)
     return {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
 
 
@@ -290,10 +301,12 @@ def main(config: ComparisonConfig) -> None:
         made_of["known"] = [part.origin for part in found]
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
+    parts = [own.names[k : k + _TOGETHER] for k in range(0, len(own.names), _TOGETHER)]
     new = [
-        (f"controller {k}", each)
+        (f"controller {k}, from {names[0]}", _Job(each, names))
         for k, each in enumerate(asked)
         if k >= finished and each not in known
+        for names in parts
     ]
     setup = (lambda: own) if config.alone else partial(_load, config)
     journal = Journal(config.out, made_of, made["git"])
@@ -304,13 +317,13 @@ def main(config: ComparisonConfig) -> None:
             if each in known:
                 rows += known[each]
             else:
-                done = next(results)
-                rows += [
-                    row_from_record(journal.path, k, values, ResultRow)
-                    for k, values in enumerate(done["rows"])
-                ]
-                for what, count in done["incidents"].items():
-                    counted[what] = counted.get(what, 0) + count
+                for done in islice(results, len(parts)):
+                    rows += [
+                        row_from_record(journal.path, k, values, ResultRow)
+                        for k, values in enumerate(done["rows"])
+                    ]
+                    for what, count in done["incidents"].items():
+                        counted[what] = counted.get(what, 0) + count
             # Written as it grows: an interrupted comparison keeps what it has.
             write_results(
                 config.out,

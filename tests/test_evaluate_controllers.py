@@ -26,7 +26,8 @@ def script(monkeypatch, request, committed):
 
     module.ran, number = [], itertools.count(1)
 
-    def evaluated(own, chosen):
+    def evaluated(own, job):
+        chosen = job.chosen
         module.ran.append(chosen)
         budget = request.param and chosen.controller == "policy"
         force = {"policy": None, "squeeze": chosen.squeeze_force, "grip": None}
@@ -38,7 +39,7 @@ def script(monkeypatch, request, committed):
             angle_deg=0.0, friction=chosen.friction, handoffs="reached",
             force_budget_n=chosen.force_budget if budget else None,
         )  # fmt: skip
-        rows = [asdict(replace(row, object=name)) for name in NAMES]
+        rows = [asdict(replace(row, object=name)) for name in job.names]
         return {"rows": rows, "incidents": {"overflows": 1}}
 
     def load(config):
@@ -123,10 +124,10 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
     whole, second = json.loads(first.out.read_text()), replace(first, out=tmp_path / "second.json")
     evaluated = script._evaluated
 
-    def stops(own, chosen):
+    def stops(own, job):
         if len(script.ran) == 3:
             raise KeyboardInterrupt
-        return evaluated(own, chosen)
+        return evaluated(own, job)
 
     monkeypatch.setattr(script, "_evaluated", stops)
     with pytest.raises(KeyboardInterrupt):
@@ -140,6 +141,19 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
         # The stand-in for a force tells when a controller was run.
         assert ours | {"force_mean_n": 0.0} == theirs | {"force_mean_n": 0.0}
     assert sorted(tmp_path.iterdir()) == [first.out, second.out]
+
+
+def test_objects_are_shared_out_in_parts_and_rows_keep_their_order(
+    script, first, tmp_path, monkeypatch
+):
+    whole, second = json.loads(first.out.read_text()), replace(first, out=tmp_path / "second.json")
+    monkeypatch.setattr(script, "_TOGETHER", 1)
+    script.main(second)
+    assert len(NAMES) > 1 and len(script.ran) == 2 * (script.policies + 3) * len(NAMES)
+    found = json.loads(second.out.read_text())
+    assert found["overflows"] == len(NAMES) * whole["overflows"]
+    for ours, theirs in zip(found["rows"], whole["rows"], strict=True):
+        assert ours | {"force_mean_n": 0.0} == theirs | {"force_mean_n": 0.0}
 
 
 @pytest.mark.parametrize("noisy", [False, True])

@@ -53,7 +53,8 @@ EQUAL_FORCE = (
     "baseline's results at several commanded forces, or frictions μ₀, are joined by straight lines "
     "and read at the controller's own mean force. Below its lightest setting the line goes down to "
     "no success at no force, and beyond its hardest it stays level: differences there are "
-    "extrapolated, not measured. The peak is the largest force on a finger."
+    "extrapolated, not measured. *At most* is the share of trials in which the baseline fails at "
+    "this force: nobody can gain more on it. The peak is the largest force on a finger."
 )
 WITHIN_BUDGET = (
     "The share of all trials that are lifted and whose mean force per finger stays within the "

@@ -95,7 +95,8 @@ def equal_force_table(groups: Groups) -> Table:
     """Policies and grips against the baselines' fronts at the force that they took themselves.
 
     The fronts are joined by straight lines, from no success at no force on, and stay level beyond
-    the hardest setting; the intervals draw the start states anew.
+    the hardest setting; the intervals draw the start states anew. No gain on a baseline is larger
+    than the share of trials in which that fails.
     """
     rows = []
     for condition, front in _all(groups):
@@ -103,12 +104,13 @@ def equal_force_table(groups: Groups) -> Table:
         force = mean_force(front.trials, front.weights[:1])[0]
         for i in (i for name, part in front.families.items() if name != "squeeze" for i in part):
             column = front.columns[i]
-            gains = [
-                front.against(i, name).text()
-                if name in front.families and name != column.family
-                else ""
-                for name in _BASELINES
-            ]
+            gains = []
+            for name in _BASELINES:
+                if name in front.families and name != column.family:
+                    gain = front.against(i, name)
+                    gains += [gain.text(), f"{gain.value + 100.0 - success[i]:.1f}"]
+                else:
+                    gains += ["", ""]
             rows.append(
                 (
                     condition.short(),
@@ -121,7 +123,7 @@ def equal_force_table(groups: Groups) -> Table:
             )
     header = (
         *("condition", "controller", "success %", "force N"),
-        *(f"− {name} at this force" for name in _BASELINES),
+        *(cell for name in _BASELINES for cell in (f"− {name} at this force", "at most")),
         "peak N, median / 99th percentile",
     )
     return Table("At equal force, points", header, tuple(rows), names=2)

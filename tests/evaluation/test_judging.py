@@ -244,10 +244,10 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     }  # fmt: skip
     lines = {line[1]: line for line in equal_force_table(groups).rows}
     assert set(lines) == {"policy, budget 3 N", "policy, budget 1.5 N", "grip 2.5 N, μ₀ 0.4"}
-    against = {name: [cell.split(" ")[0] for cell in line[4:6]] for name, line in lines.items()}
-    assert against["policy, budget 3 N"] == ["+50.0", "+25.0"]
-    assert against["policy, budget 1.5 N"] == ["+50.0", "+37.5"]
-    assert against["grip 2.5 N, μ₀ 0.4"] == ["+25.0", ""]
+    against = {name: [cell.split(" ")[0] for cell in line[4:8]] for name, line in lines.items()}
+    assert against["policy, budget 3 N"] == ["+50.0", "50.0", "+25.0", "25.0"]
+    assert against["policy, budget 1.5 N"] == ["+50.0", "75.0", "+37.5", "62.5"]
+    assert against["grip 2.5 N, μ₀ 0.4"] == ["+25.0", "50.0", "", ""]
     assert lines["policy, budget 3 N"][-1] == "3 / 7"
 
     budgets = {line[1]: line[2:] for line in budget_table(groups).rows}

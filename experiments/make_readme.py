@@ -85,6 +85,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_cpu.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
+            "objects-trained": object_tables.trained(
+                folder / "objects" / "trained" / "shipped.json",
+                sorted((folder / "objects" / "trained").glob("all-*.json")),
+            ),
             "statics": object_tables.statics(folder / "objects" / "least_force.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),
             "policies": policy_tables.policies(folder, root / "assets" / "policy.npz"),

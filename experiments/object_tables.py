@@ -6,6 +6,7 @@ the heaviest ones is of `heavy_objects.py`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,12 +71,13 @@ def objects(path: Path) -> str:
     lines = []
     for name in names:
         mass = f"{catalogue[name].mass:.2f}"
-        cells = (_cell(of.get(name)) for of in columns.values())
-        lines.append((name.replace("_", " "), _PARTS[catalogue[name].split], mass, *cells, ""))
+        rows = [of.get(name) for of in columns.values()]
+        cells = *(_cell(row) for row in rows), f"{_by_any(rows):.0f}", ""
+        lines.append((name.replace("_", " "), _PARTS[catalogue[name].split], mass, *cells))
     means = [line for part in _MEANS if (line := _mean(part, names, columns)) is not None]
     header = (
         *("object", "part", "mass kg", *(column.name for column in columns)),
-        "paper: policy / squeeze",
+        *("any of these", "paper: policy / squeeze"),
     )
     table = Table("Objects", header, (*lines, *means), summary=len(means), names=2)
     without = ", ".join(n.replace("_", " ") for n in results.extra.get("not_eligible", ()))
@@ -88,6 +90,13 @@ def _cell(row: ResultRow | None) -> str:
     force = "" if row.force_mean_n is None else f", {row.force_mean_n:.1f} N"
     low, high = row.ci95
     return f"{100 * row.successes / row.episodes:.0f} ({low:.0f}–{high:.0f}){force}"
+
+
+def _by_any(rows: Sequence[ResultRow | None]) -> float:
+    """The share of trials in which at least one controller lifted the object [%]."""
+    letters = [row.outcomes for row in rows if row is not None]
+    lifted = ["S" in trial for trial in zip(*letters, strict=True)]
+    return 100.0 * float(np.mean(lifted))
 
 
 def _mean(
@@ -104,9 +113,39 @@ def _mean(
         success = np.mean([100 * row.successes / row.episodes for row in rows]) if rows else np.nan
         forces = [row.force_mean_n for row in rows if row.force_mean_n is not None]
         cells.append(f"{success:.1f}" + (f", {np.mean(forces):.1f} N" if forces else ""))
+    by_any = np.mean([_by_any([of.get(name) for of in columns.values()]) for name in own])
     policy, squeeze = paper.ALL_ELIGIBLE
     published = f"{policy:g} / {squeeze:g}" if part == "train" else ""
-    return f"mean of {len(own)}", _PARTS[part], "", *cells, published
+    return f"mean of {len(own)}", _PARTS[part], "", *cells, f"{by_any:.1f}", published
+
+
+def trained(shipped: Path, paths: Sequence[Path]) -> str:
+    """Means of policies trained on all objects, beside those of the shipped one.
+
+    Args:
+        shipped: Results file of the shipped policy.
+        paths: Of each of the others, from the same states; named after the run.
+
+    Raises:
+        FileError: One cannot be read.
+    """
+    if not (shipped.exists() and paths):
+        return NOTHING
+    catalogue, lines = load_catalogue(), []
+    for path in (shipped, *paths):
+        columns: dict[Controller, dict[str, ResultRow]] = {}
+        for row in read_results(path).rows:
+            columns.setdefault(_of(row), {})[row.object] = row
+        for controller, of in columns.items():
+            cells = []
+            for part in _MEANS:
+                rows = [row for row in of.values() if catalogue[row.object].split == part]
+                success = np.mean([100 * row.successes / row.episodes for row in rows])
+                forces = [row.force_mean_n for row in rows if row.force_mean_n is not None]
+                cells.append(f"{success:.1f} at {np.mean(forces):.1f} N")
+            lines.append((path.stem, f"{controller.force:g}", *cells))
+    header = "policy", "budget N", *(f"{_PARTS[part]} objects" for part in _MEANS)
+    return markdown(Table("Trained on all objects", header, tuple(lines)))
 
 
 def statics(path: Path) -> str:

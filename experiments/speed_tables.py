@@ -49,14 +49,16 @@ def grasper_speed(path: Path) -> str:
     d = read(path)
     if d is None:
         return NOTHING
-    rows = [
-        (f"tick, {phase}", str(s["count"]), f"{s['p50']:.2f}", f"{s['p99']:.2f}")
-        for phase, s in d["tick_ms"].items()
-        if s["count"]
-    ]
+    rows = []
+    for phase, in_loop in d["tick_ms"].items():
+        if in_loop["count"]:
+            times = (in_loop, d["tick_alone_ms"][phase])
+            cells = (f"{s[p]:.2f}" for s in times for p in ("p50", "p99"))
+            rows.append((f"tick, {phase}", str(in_loop["count"]), *cells))
     s = d["plan_ms"]
-    rows.append(("search for plans", str(s["count"]), f"{s['p50']:.0f}", f"{s['p99']:.0f}"))
-    header = ("what", "times", "median ms", "99 % ms")
+    cells = f"{s['p50']:.0f}", f"{s['p99']:.0f}", "", ""
+    rows.append(("search for plans", str(s["count"]), *cells))
+    header = ("what", "times", "median ms", "99 % ms", "alone: median ms", "alone: 99 % ms")
     device = d["provenance"]["device"]
     return f"One world on {device}, physics apart:\n\n" + markdown(
         Table("Controller", header, tuple(rows))

@@ -25,12 +25,16 @@ def results(tmp_path):
     content = json.loads(SHIPPED.read_text())
     rows = {row["controller"]: row for row in content["rows"]}
     plan = [("chips_can", 5, 3.0), ("mug", 10, 2.0), ("pear", 0, None)]
+    letters = {  # of the can each lifts five others, two of them the same
+        name: {"policy": "S" * good + "L" * (10 - good), "squeeze": "LLL" + "S" * good + "LL"}
+        for name, good in (("chips_can", 5), ("pear", 0))
+    } | {"mug": {"policy": "S" * 10, "squeeze": "S" * 10}}
     content["rows"] = [
         rows[kind]
         | {
             "object": name, "episodes": 10, "successes": good, "never_lifted": 10 - good,
-            "not_held": 0, "slipped": 0, "outcomes": "", "forces_n": [], "starts": [],
-            "force_mean_n": force, "ci95": [0.0, 100.0],
+            "not_held": 0, "slipped": 0, "outcomes": letters[name][kind][:10], "forces_n": [],
+            "starts": [], "force_mean_n": force, "ci95": [0.0, 100.0],
         }
         for kind in ("policy", "squeeze")
         for name, good, force in plan
@@ -50,7 +54,29 @@ def test_objects_of_training_come_first_and_each_part_has_its_mean(tables, resul
     assert mug[3] == "100 (0–100), 2.0 N" and pear[3] == "0 (0–100)"
     assert training[3] == "50.0, 2.0 N" and held_out[3] == can[3].replace("50 (0–100)", "50.0")
     assert training[-1] == "40.3 / 29.8" and held_out[-1] == ""
+    assert [line[-2] for line in lines[2:]] == ["100", "0", "80", "50.0", "80.0"]
+    assert lines[0][-2] == "any of these"
     assert lines[0][3].startswith("policy, budget") and lines[0][4].startswith("squeeze")
+
+
+def test_policies_trained_on_all_objects_stand_beside_the_shipped_one(tables, results, tmp_path):
+    assert tables.trained(tmp_path / "none.json", [results]) == "_No results file yet._"
+    content = json.loads(results.read_text())
+    content["rows"] = [row for row in content["rows"] if row["controller"] == "policy"]
+    shipped, other = tmp_path / "shipped.json", tmp_path / "all-2.json"
+    shipped.write_text(json.dumps(content))
+    for row in content["rows"]:
+        row["successes"] = 10
+    other.write_text(json.dumps(content))
+    lines = [[c.strip(" *") for c in line.split("|")[1:-1]] for line in
+             tables.trained(shipped, [other]).splitlines()]  # fmt: skip
+    assert lines[0] == ["policy", "budget N", "training objects", "held out objects"]
+    (budget,) = {row["force_budget_n"] for row in content["rows"]}
+    assert [line[0] for line in lines[2:]] == ["shipped", "all-2"]
+    assert {line[1] for line in lines[2:]} == {f"{budget:g}"}
+    assert [line[2:] for line in lines[2:]] == [
+        ["50.0 at 2.0 N", "50.0 at 3.0 N"], ["100.0 at 2.0 N", "100.0 at 3.0 N"],
+    ]  # fmt: skip
 
 
 def test_objects_without_start_states_are_named(tables, results, tmp_path):

@@ -559,11 +559,13 @@ def test_the_controllers_time_has_its_table(tmp_path):
     path, table = tmp_path / "grasper.json", make_readme.speed_tables.grasper_speed
     assert table(path) == make_readme.stage_tables.NOTHING
     tick = {"count": 500, "p50": 1.234, "p99": 2.5}
-    record = {"tick_ms": {"reaching": tick, "failed": tick | {"count": 0}}, "plan_ms": tick}
+    of_phase = {"reaching": tick, "failed": tick | {"count": 0}}
+    alone = dict.fromkeys(of_phase, tick | {"p50": 0.5, "p99": 0.75})
+    record = {"tick_ms": of_phase, "tick_alone_ms": alone, "plan_ms": tick}
     path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
     _, _, _, _, reaching, plans = table(path).splitlines()
-    assert values(reaching) == ["tick, reaching", "500", "1.23", "2.50"]
-    assert values(plans) == ["search for plans", "500", "1", "2"]
+    assert values(reaching) == ["tick, reaching", "500", "1.23", "2.50", "0.50", "0.75"]
+    assert values(plans) == ["search for plans", "500", "1", "2", "", ""]
 
 
 def test_many_grasps_at_once_have_their_table(tmp_path):

@@ -26,14 +26,17 @@ def results(tmp_path):
     rows = {row["controller"]: row for row in content["rows"]}
     plan = [("chips_can", 5, 3.0), ("mug", 10, 2.0), ("pear", 0, None)]
     letters = {  # of the can each lifts five others, two of them the same
-        name: {"policy": "S" * good + "L" * (10 - good), "squeeze": "LLL" + "S" * good + "LL"}
+        name: {
+            "policy": "S" * good + "L" * (10 - good),
+            "squeeze": "LLL" + "S" * good + "L" * (7 - good),
+        }
         for name, good in (("chips_can", 5), ("pear", 0))
     } | {"mug": {"policy": "S" * 10, "squeeze": "S" * 10}}
     content["rows"] = [
         rows[kind]
         | {
             "object": name, "episodes": 10, "successes": good, "never_lifted": 10 - good,
-            "not_held": 0, "slipped": 0, "outcomes": letters[name][kind][:10], "forces_n": [],
+            "not_held": 0, "slipped": 0, "outcomes": letters[name][kind], "forces_n": [],
             "starts": [], "force_mean_n": force, "ci95": [0.0, 100.0],
         }
         for kind in ("policy", "squeeze")
@@ -66,7 +69,7 @@ def test_policies_trained_on_all_objects_stand_beside_the_shipped_one(tables, re
     shipped, other = tmp_path / "shipped.json", tmp_path / "all-2.json"
     shipped.write_text(json.dumps(content))
     for row in content["rows"]:
-        row["successes"] = 10
+        row |= {"successes": 10, "never_lifted": 0, "outcomes": 10 * "S"}
     other.write_text(json.dumps(content))
     lines = [[c.strip(" *") for c in line.split("|")[1:-1]] for line in
              tables.trained(shipped, [other]).splitlines()]  # fmt: skip

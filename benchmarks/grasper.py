@@ -5,8 +5,8 @@ what is measured, in NumPy's arrays as a driver supplies them, to the joint targ
 that it is in; physics and compilation apart. Between ticks the state is one vector.
 
 Each grasp's ticks are timed twice: in the loop, where physics on the same core leaves them cold
-caches, and again from the record, one after the other, as on a robot's computer that does nothing
-else. The second time has to give the same.
+caches, and again from the record, one after the other, the least that they take; a robot's computer
+is between the two. The second time has to give the same.
 
   python benchmarks/grasper.py --objects-dir SCANS --out FILE.json
 """

@@ -35,6 +35,7 @@ from mjx_grasp.evaluation.tables import (
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.objects.model import GRAVITY
 from mjx_grasp.records.table import Table
 
 CITATION = (
@@ -53,8 +54,8 @@ EQUAL_FORCE = (
     "baseline's results at several commanded forces, or frictions μ₀, are joined by straight lines "
     "and read at the controller's own mean force. Below its lightest setting the line goes down to "
     "no success at no force, and beyond its hardest it stays level: differences there are "
-    "extrapolated, not measured. *At most* is the share of trials in which the baseline fails at "
-    "this force: nobody can gain more on it. The peak is the largest force on a finger."
+    "extrapolated, not measured. *Most possible* is the share of trials in which the baseline "
+    "fails at this force: nobody can gain more on it. The peak is the largest force on a finger."
 )
 WITHIN_BUDGET = (
     "The share of all trials that are lifted and whose mean force per finger stays within the "
@@ -82,7 +83,6 @@ LAYERS = (
     "updates. All but PPO go through the states of one rollout of a training. Then parts of one "
     "physics step, and the speed of the whole loop as a share of MuJoCo Warp's:"
 )
-_GRAVITY = 9.81  # m/s²
 _WALL_FRICTIONS = (1.1, 0.8, 0.5, 0.4)
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX"}
 _STEP_PARTS = {
@@ -174,7 +174,7 @@ def least_forces(names: Sequence[str]) -> Table:
     catalogue = load_catalogue()
     known = [catalogue[name] for name in names if name in catalogue]
     for info in sorted(known, key=lambda info: -info.mass):
-        shares = [_GRAVITY * info.mass * math.hypot(1.0, mu) / (3.0 * mu) for mu in _WALL_FRICTIONS]
+        shares = [GRAVITY * info.mass * math.hypot(1.0, mu) / (3.0 * mu) for mu in _WALL_FRICTIONS]
         label = info.name.replace("_", " ")
         rows.append((label, f"{1e3 * info.mass:.0f}", *(f"{share:.1f}" for share in shares)))
     header = ("object", "mass g", *(f"N at friction {mu:g}" for mu in _WALL_FRICTIONS))

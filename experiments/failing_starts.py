@@ -55,7 +55,6 @@ from mjx_grasp.sim.scene import Scene, SceneConfig
 from mjx_grasp.tasks.assemble import build_scene_of
 
 SCHEMA = "mjx_grasp.failing_starts/1"
-GRAVITY = 9.81
 _FAR, _SKY = 5.0, 235
 """Distance from which nothing is there [m], and how light that is drawn"""
 FEATURES = ("lift", "reach", "force", "edge", "score")

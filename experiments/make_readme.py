@@ -86,8 +86,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach": reach_tables.reach_rates(folder / "reach_sweep_cpu.json"),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "objects-trained": object_tables.trained(
-                folder / "objects" / "trained" / "shipped.json",
-                sorted((folder / "objects" / "trained").glob("all-*.json")),
+                folder / "objects" / "evaluation_states.json",
+                sorted((folder / "trained").glob("*.json")),
             ),
             "statics": object_tables.statics(folder / "objects" / "least_force.json"),
             "heavy": object_tables.heavy(folder / "heavy_objects.json"),

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from stage_tables import NOTHING, markdown
 
+from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import ResultRow, read_results
 from mjx_grasp.objects.catalogue import load_catalogue
@@ -127,14 +128,17 @@ def trained(shipped: Path, paths: Sequence[Path]) -> str:
         paths: Of each of the others, from the same states; named after the run.
 
     Raises:
-        FileError: One cannot be read.
+        FileError: One cannot be read, or is from other start states.
     """
     if not (shipped.exists() and paths):
         return NOTHING
     catalogue, lines = load_catalogue(), []
-    for path in (shipped, *paths):
-        columns: dict[Controller, dict[str, ResultRow]] = {}
-        for row in read_results(path).rows:
+    asked = read_results(shipped).extra["sha256"]["handoffs"]
+    for name, path in (("shipped", shipped), *((path.stem, path) for path in paths)):
+        results, columns = read_results(path), dict[Controller, dict[str, ResultRow]]()
+        if (states := results.extra["sha256"]["handoffs"]) != asked:
+            raise FileError(path, f"start states {states[:8]}", f"those of {shipped.name}")
+        for row in results.rows:
             columns.setdefault(_of(row), {})[row.object] = row
         for controller, of in columns.items():
             cells = []
@@ -143,8 +147,8 @@ def trained(shipped: Path, paths: Sequence[Path]) -> str:
                 success = np.mean([100 * row.successes / row.episodes for row in rows])
                 forces = [row.force_mean_n for row in rows if row.force_mean_n is not None]
                 cells.append(f"{success:.1f} at {np.mean(forces):.1f} N")
-            lines.append((path.stem, f"{controller.force:g}", *cells))
-    header = "policy", "budget N", *(f"{_PARTS[part]} objects" for part in _MEANS)
+            lines.append((f"{name}: {controller.name}", *cells))
+    header = "controller", *(f"{_PARTS[part]} objects" for part in _MEANS)
     return markdown(Table("Trained on all objects", header, tuple(lines)))
 
 

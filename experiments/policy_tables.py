@@ -259,7 +259,7 @@ def _flags(row: dict[str, Any]) -> str:
     return ", ".join(f"`{part}`" for part in own)
 
 
-_OF_THEIR_OWN = ("seeds", "choice", "told", "newcomer", "end_to_end")
+_OF_THEIR_OWN = ("seeds", "choice", "told", "newcomer", "end_to_end", "trained")
 """folders of results whose policies are named where they are shown"""
 
 

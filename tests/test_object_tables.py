@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
 ASSETS = EXPERIMENTS.parent / "assets"
@@ -73,13 +73,16 @@ def test_policies_trained_on_all_objects_stand_beside_the_shipped_one(tables, re
     other.write_text(json.dumps(content))
     lines = [[c.strip(" *") for c in line.split("|")[1:-1]] for line in
              tables.trained(shipped, [other]).splitlines()]  # fmt: skip
-    assert lines[0] == ["policy", "budget N", "training objects", "held out objects"]
+    assert lines[0] == ["controller", "training objects", "held out objects"]
     (budget,) = {row["force_budget_n"] for row in content["rows"]}
-    assert [line[0] for line in lines[2:]] == ["shipped", "all-2"]
-    assert {line[1] for line in lines[2:]} == {f"{budget:g}"}
-    assert [line[2:] for line in lines[2:]] == [
-        ["50.0 at 2.0 N", "50.0 at 3.0 N"], ["100.0 at 2.0 N", "100.0 at 3.0 N"],
-    ]  # fmt: skip
+    assert lines[2:] == [
+        [f"shipped: policy, budget {budget:g} N", "50.0 at 2.0 N", "50.0 at 3.0 N"],
+        [f"all-2: policy, budget {budget:g} N", "100.0 at 2.0 N", "100.0 at 3.0 N"],
+    ]
+    content["sha256"]["handoffs"] = "0" * 64
+    other.write_text(json.dumps(content))
+    with pytest.raises(FileError, match=r"start states 0{8}.*those of shipped"):
+        tables.trained(shipped, [other])
 
 
 def test_objects_without_start_states_are_named(tables, results, tmp_path):

@@ -108,7 +108,7 @@ def equal_force_table(groups: Groups) -> Table:
             for name in _BASELINES:
                 if name in front.families and name != column.family:
                     gain = front.against(i, name)
-                    gains += [gain.text(), f"{gain.value + 100.0 - success[i]:.1f}"]
+                    gains += [gain.text(), f"{max(0.0, gain.value + 100.0 - success[i]):.1f}"]
                 else:
                     gains += ["", ""]
             rows.append(
@@ -123,7 +123,7 @@ def equal_force_table(groups: Groups) -> Table:
             )
     header = (
         *("condition", "controller", "success %", "force N"),
-        *(cell for name in _BASELINES for cell in (f"− {name} at this force", "at most")),
+        *(cell for name in _BASELINES for cell in (f"− {name} at this force", "most possible")),
         "peak N, median / 99th percentile",
     )
     return Table("At equal force, points", header, tuple(rows), names=2)

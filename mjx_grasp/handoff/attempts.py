@@ -96,8 +96,8 @@ def attempt_all(
             wanted = TipGoals(goals.tips[way], goals.pads[way])
             found = solve_ik(body, config.ik, config.clearances, wanted, around, start, home)
             approach = body.palm.forward(found.q)[1][0] @ body.approach_axis
-            # What the selection would take does not depend on heights.
             closed = touching(body, found.q, position[way])
+            # What the selection would take does not depend on heights.
             taken = closest_axis(jnp.abs(approach @ pair.R_wo), pair.ways.usable[::2])
             return Attempts(
                 q=found.q,

@@ -72,6 +72,7 @@ def reach_settings(config: HandoffConfig) -> ReachPreset:
         settings.plan,
         library=config.posture.library,
         area=config.sampling.area,
+        must_hold=config.posture.must_hold,
         seed=config.seed,
     )
     return with_gate(replace(settings, selection=selection, plan=plan), gate)

@@ -48,7 +48,7 @@ def whole_grasps(
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
     last: the farther short, the later. So do contacts near an edge and those that need much force;
-    those that no force of this hand can hold are not used.
+    those that no force of this hand can hold are not planned for.
     Short ways count more than in reaching alone.
 
     Args:

@@ -51,8 +51,8 @@ class PlanConfig(Settings):
     hold_most: Positive = 5.0
     """contacts that ask for more force, or cannot hold the object, count as this much [-]"""
     must_hold: PositiveOrNever = float("inf")
-    """friction with which the contacts have to hold the object by what the thumb's motors can
-    press, or the attempt is none; by default that is not looked at [-]"""
+    """friction with which the contacts have to oppose each other, and to hold the object by what
+    the thumb's motors can press, or the attempt is none; by default that is not looked at [-]"""
     press_weight: NonNegative = 0.0
     """time that a newton counts as by which the thumb's motors press less than the contacts ask for
     to hold an object of known weight; by default that is not looked at [s/N]"""

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.config import HandoffConfig, PostureConfig, SamplingConfig
 from mjx_grasp.handoff.dataset import load_handoffs
-from mjx_grasp.handoff.reached import ReachedGenerator, reach_settings
+from mjx_grasp.handoff.reached import ReachedGenerator, _Task, reach_settings
 from mjx_grasp.handoff.report import OUTCOMES, TIPS
 from mjx_grasp.handoff.sampling import rotation_matrix, sample_object_poses
 from mjx_grasp.objects.model import load_object
@@ -22,20 +23,21 @@ from mjx_grasp.reaching.controller import ReachOutcome
 from mjx_grasp.reaching.presets import GATES
 from mjx_grasp.reaching.still import Placed, StillObject, plans_still, reach_still
 from mjx_grasp.robot.mjcf import joint_columns
+from mjx_grasp.sim.collision import REASONS, CollisionChecker
 from mjx_grasp.sim.scene import SceneConfig, build_scene
 from mjx_grasp.tasks.starts import build_starts
 
 WANTED, WORLDS = 6, 4
 
 
-def settings(folder, **changes):
+def settings(folder, must_hold=0.8, **changes):
     return HandoffConfig(
         out=folder / "set.npz",
         kind="reached",
         per_object=WANTED,
         max_rounds=4,
         sampling=SamplingConfig(poses_per_round=WORLDS),
-        posture=PostureConfig(library=4000),
+        posture=PostureConfig(library=4000, must_hold=must_hold),
         **changes,
     )
 
@@ -181,6 +183,22 @@ def queue(generator, brick, robot):
 
 
 @pytest.mark.long
+def test_reaches_to_contacts_that_cannot_hold_are_refused(generator, queue, brick, robot):
+    """As if all three were on one side of the object."""
+    what, placed, found = queue
+    task = _Task(brick, what, CollisionChecker(build_scene([brick], robot)))
+    q = np.zeros((len(found.q), len(robot.joints)), np.float32)
+    q[:, generator._columns] = found.q
+    at = np.asarray(placed.p_wo), np.asarray(so3.mat_to_quat(placed.R_wo))
+    usual = list(generator._outcomes(task, placed, found, q, *at))
+    beside = found._replace(normal=np.broadcast_to(np.float32([1, 0, 0]), found.normal.shape))
+    refused = list(generator._outcomes(task, placed, beside, q, *at))
+    assert usual.count(None) > 0 and "hold" not in usual
+    for before, now in zip(usual, refused, strict=True):
+        assert now == ("hold" if before is None or before in REASONS else before)
+
+
+@pytest.mark.long
 def test_what_comes_of_a_reach_does_not_depend_on_the_others(generator, queue):
     what, placed, together = queue
     for k in (0, len(placed.p_wo) - 1):
@@ -210,6 +228,12 @@ def test_a_batch_is_a_loop_over_its_reaches(generator, queue):
         assert state.outcome == together.outcome[k]
         np.testing.assert_allclose(q, together.q[k], atol=2e-3)
         np.testing.assert_allclose(done.report.error, together.error[k], atol=1e-3)
+
+
+def test_plans_keep_to_contacts_that_are_accepted_afterwards(tmp_path):
+    for friction in (0.5, float("inf")):
+        asked = settings(tmp_path, must_hold=friction)
+        assert reach_settings(asked).plan.must_hold == friction
 
 
 def test_gates_are_those_that_are_asked_for(tmp_path):

@@ -42,7 +42,7 @@ def test_contacts_oppose_up_to_the_angle_of_friction(side, friction):
             assert bool(opposing(friction, CONTACTS @ R.T + p, normals @ R.T)) == expected
 
 
-def test_what_does_not_oppose_is_held_by_no_force():
+def test_opposing_says_nearly_what_the_programme_says():
     """Random normals about the line; against the friction-cone programme, from six sides."""
     key, friction = jax.random.key(0), 0.6
     tilt = 0.9 * jax.random.normal(key, (60, 2, 3))

@@ -28,7 +28,8 @@ def opposing(
 ) -> Bool[Array, "*n"]:
     """Whether the line from the thumb to the middle of the wraps is in the friction cones of both.
 
-    What an antipodal grasp needs, and much cheaper than `can_hold`.
+    Then they hold against pulls from every side. It costs next to nothing beside `can_hold`, which
+    asks about the weight alone.
 
     Args:
         friction: Of the contacts [-].

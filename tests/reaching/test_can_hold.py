@@ -42,10 +42,13 @@ def test_contacts_oppose_up_to_the_angle_of_friction(side, friction):
             assert bool(opposing(friction, CONTACTS @ R.T + p, normals @ R.T)) == expected
 
 
-def test_opposing_says_nearly_what_the_programme_says():
-    """Random normals about the line; against the friction-cone programme, from six sides."""
+def test_contacts_that_oppose_are_held_whichever_way_they_are_pulled():
+    """Random normals about the line; against the friction-cone programme, from six sides.
+
+    Not the other way round: the middle of the wraps stands for any point between them.
+    """
     key, friction = jax.random.key(0), 0.6
-    tilt = 0.9 * jax.random.normal(key, (60, 2, 3))
+    tilt = 0.45 * jax.random.normal(key, (60, 2, 3))
     thumb, wrap = jax.vmap(lambda t: jax.vmap(so3.exp)(t) @ jnp.array([1.0, 0, 0]))(tilt).transpose(
         1, 0, 2
     )
@@ -62,8 +65,7 @@ def test_opposing_says_nearly_what_the_programme_says():
     opposed = np.asarray(opposing(friction, jnp.broadcast_to(CONTACTS, normals.shape), normals))
     held = np.isfinite(np.asarray(worst(normals)))
     assert 5 < opposed.sum() < 55
-    agree = np.mean(opposed == held)
-    assert agree > 0.9, "the middle of the wraps stands for any point between them"
+    assert np.all(held[opposed]) and np.mean(opposed == held) > 0.85 and not held.all()
 
 
 def test_a_hand_holds_what_its_thumb_can_press_for(body):

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.config import TargetConfig
+from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.posture.config import ClearanceConfig, IkConfig, StartConfig
@@ -81,7 +82,7 @@ class PostureConfig(Settings):
     touch_error: Annotated[float, Range(0, finite=False)] = 0.022
     """a posture from which a closing finger stays farther from its contact is refused; inf refuses
     none, as published [m]"""
-    must_hold: PositiveOrNever = 0.8
+    must_hold: PositiveOrNever = ContactConfig().friction
     """friction with which the contacts have to hold the object by what the thumb's motors can
     press, or the posture is refused; inf refuses none, as published [-]"""
 

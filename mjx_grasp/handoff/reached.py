@@ -41,6 +41,7 @@ from mjx_grasp.reaching.still import (
     Arrival,
     Placed,
     StillObject,
+    in_parts,
     plans_still,
     reach_still,
 )
@@ -242,17 +243,13 @@ def _ahead(
     found: Arrival,
     worlds: int,
 ) -> _Ahead:
-    """What would come of where reaches ended; computed in parts of one size."""
-    count, parts = len(found.q), []
-    for first in range(0, count, worlds):
-        rows = np.minimum(np.arange(first, first + worlds), count - 1)
-        at = placed.p_wo[rows], placed.R_wo[rows]
-        part = _come_of(
-            body, config, what, *at, found.q[rows], found.position[rows], found.normal[rows]
-        )
-        kept = min(worlds, count - first)
-        parts.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    """What would come of where reaches ended."""
+    ends = placed.p_wo, placed.R_wo, found.q, found.position, found.normal
+    return in_parts(
+        lambda rows: _come_of(body, config, what, *(leaf[rows] for leaf in ends)),
+        len(found.q),
+        worlds,
+    )
 
 
 @partial(jax.jit, static_argnames=("body", "config"))

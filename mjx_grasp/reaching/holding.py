@@ -28,8 +28,8 @@ def opposing(
 ) -> Bool[Array, "*n"]:
     """Whether the line from the thumb to the middle of the wraps is in the friction cones of both.
 
-    Then they hold against pulls from every side. It costs next to nothing beside `can_hold`, which
-    asks about the weight alone.
+    Then some force holds against a pull from any side. It costs next to nothing beside `can_hold`,
+    which asks about the weight alone.
 
     Args:
         friction: Of the contacts [-].

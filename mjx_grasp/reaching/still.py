@@ -7,8 +7,9 @@ nothing of each other, what comes of a reach does not depend on which others the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,8 @@ from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
 from mjx_grasp.reaching.planning import Planner
+
+Result = TypeVar("Result")
 
 WORLDS = 32
 """Reaches under way at once, and plans looked for in one call, if nothing else is asked for."""
@@ -102,10 +105,26 @@ def plans_still(
         keys: One for each, of what is tried at random.
         worlds: That size.
     """
-    found, count = [], len(p_wo)
+    return in_parts(
+        lambda rows: _search(planner, library, what, p_wo[rows], R_wo[rows], keys[rows]),
+        len(p_wo),
+        worlds,
+    )
+
+
+def in_parts(
+    function: Callable[[Int[np.ndarray, " worlds"]], Result], count: int, worlds: int
+) -> Result:
+    """What a compiled function gives for many rows, asked for some at a time; arrays of NumPy.
+
+    Args:
+        function: Of the numbers of so many rows, the last of them repeated to fill up.
+        count: Of rows, one at least.
+        worlds: That it is compiled for.
+    """
+    found = []
     for first in range(0, count, worlds):
-        rows = np.minimum(np.arange(first, first + worlds), count - 1)
-        part = _search(planner, library, what, p_wo[rows], R_wo[rows], keys[rows])
+        part = function(np.minimum(np.arange(first, first + worlds), count - 1))
         kept = min(worlds, count - first)
         found.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], part))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *found)

@@ -6,8 +6,8 @@ distance of the place from the contacts is measured: of those of the first try, 
 last, and of the fingertips when the lift begins. A side may lie on the table; it is asked for all
 the same: how high the place is says so, and how near the nearest contacts are that can be used in
 that pose at all. The shipped policy closes.
-`--processes 2` makes the grasps of both ways at once, and a run that was killed goes on after the
-first one where it had finished it.
+`--processes 8` shares them out over as many cores, some trials at a time, and a run that was killed
+goes on after those that it had finished.
 
   python experiments/steered_grasps.py --objects-dir SCANS
 """
@@ -15,6 +15,7 @@ first one where it had finished it.
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,7 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS
+from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -63,8 +65,11 @@ _TEN = (
     *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
 )
 _FACES = tuple(side for side in SIDES if side != "middle")
-WAYS = ("default", "contacts")
+DEFAULT = "default"
+WAYS = (DEFAULT, "contacts")
 _PERCENT = 100
+_TOGETHER = 8
+"""Trials of a part: several at once cost less each, and many processes are to share them."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +214,7 @@ class Steered:
 
     Args:
         config: Objects, and the seed.
-        progress: Told which share of a way's trials is done.
+        progress: Told which share of a part of the trials is done.
 
     Raises:
         InputError, FileError: The objects cannot be had.
@@ -231,36 +236,44 @@ class Steered:
             p_wo=np.concatenate([part.p_wo for part in drawn]),
             quat=np.concatenate([part.quat for part in drawn]),
         )
+        # Compiled functions are of one object: each of these is made once.
+        self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))
+        self._grasper = functools.cache(self._new_grasper)
 
-    @functools.cached_property
-    def _heatmaps(self) -> list[Heatmap]:
-        return [heatmap_of(obj, self._robot.hand) for obj in self._objects]
+    def jobs(self) -> list[tuple[str, int]]:
+        """Each way, and the first trial of each part of them."""
+        return [(way, k) for way in WAYS for k in range(0, len(self._places), _TOGETHER)]
 
-    @functools.cached_property
-    def _within(self) -> list[float | None]:
-        """Of each place how near contacts can come to it where its object lies."""
-        poses = zip(self._places, self._problem.p_wo, self._problem.quat, strict=True)
-        return [nearest_usable(self._heatmaps[p.index], p, *pose) for p, *pose in poses]
-
-    def rows(self, way: str) -> list[dict[str, Any]]:
-        """All trials in one way."""
-        robot, objects, problem = self._robot, self._objects, self._problem
-        steered = way != "default"
-        known = []
-        for place in self._places:
-            heatmap, anchor = self._heatmaps[place.index], place.anchor
-            score = steer_to(heatmap, anchor.point, anchor.size, steering=way) if steered else None
-            known.append(known_object(objects[place.index], robot, heatmap, score))
-        grasper = loaded_grasper(robot, self.policy, steered=steered)
-        assert grasper.planner is not None
-        library = start_library(grasper.reacher.body, grasper.planner.config)
-        physics = NativePhysics(build_scene(objects, robot), grasper.dt)
+    def rows(self, job: tuple[str, int]) -> list[dict[str, Any]]:
+        """A part of the trials in one way; its poses and plans are those of the other way."""
+        way, first = job
+        part = slice(first, first + _TOGETHER)
+        places = self._places[part]
+        problem = GraspProblem(*(values[part] for values in self._problem))
+        known, within = [], []
+        for place, *pose in zip(places, problem.p_wo, problem.quat, strict=True):
+            heatmap, anchor = self._heatmap(place.index), place.anchor
+            score = None
+            if way != DEFAULT:
+                score = steer_to(heatmap, anchor.point, anchor.size)
+            known.append(known_object(self._objects[place.index], self._robot, heatmap, score))
+            within.append(nearest_usable(heatmap, place, *pose))
+        grasper, library = self._grasper(way)
         ran = grasp_all(
-            grasper, library, physics, stacked(known), problem, None, self._config.seed,
-            self._progress,
+            grasper, library, self._physics, stacked(known), problem, None,
+            self._config.seed + first, self._progress,
         )  # fmt: skip
-        names = [obj.name for obj in objects]
-        return rows_of(way, self._places, self._within, names, ran, grasper, physics, problem)
+        names = [obj.name for obj in self._objects]
+        return rows_of(way, places, within, names, ran, grasper, self._physics, problem)
+
+    def _new_grasper(self, way: str) -> tuple[Grasper, Library]:
+        grasper = loaded_grasper(self._robot, self.policy, steered=way != DEFAULT)
+        assert grasper.planner is not None
+        return grasper, start_library(grasper.reacher.body, grasper.planner.config)
+
+    @functools.cached_property
+    def _physics(self) -> NativePhysics:
+        return NativePhysics(build_scene(self._objects, self._robot), self._grasper(DEFAULT)[0].dt)
 
 
 def main(config: SteeredConfig) -> None:
@@ -273,14 +286,15 @@ def main(config: SteeredConfig) -> None:
     journal = Journal(config.out, identity, made["git"])
     rows: list[dict[str, Any]] = []
     with counting_progress(Console(stderr=True)) as bar:
-        bars = {way: bar.add_task(way, total=_PERCENT) for way in WAYS}
-        way = WAYS[0]
-        own = Steered(config, lambda share: bar.update(bars[way], completed=_PERCENT * share))
+        one = bar.add_task("", total=_PERCENT, visible=config.alone)
+        own = Steered(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
+        jobs = own.jobs()
+        parts = bar.add_task("parts of the trials", total=len(jobs))
         setup = (lambda: own) if config.alone else functools.partial(Steered, config)
-        results = journaled(config, Steered.rows, [(way, way) for way in WAYS], setup, journal)
-        for way in WAYS:
-            rows += next(results)
-            bar.update(bars[way], completed=_PERCENT)
+        named = [(json.dumps(job), job) for job in jobs]
+        for found in journaled(config, Steered.rows, named, setup, journal):
+            rows += found
+            bar.update(parts, advance=1)
     write_json(config.out, identity | {"rows": rows, "provenance": made})
     journal.close()
     Console().print(f"written: {config.out}, {len(rows)} trials")

@@ -36,8 +36,9 @@ from mjx_grasp.training.job import run_training
 TINY = (
     *("--objects", "foam_brick", "--evaluation-episodes", "2", "--ppo.worlds", "8"),
     *("--ppo.unroll", "4", "--ppo.iterations", "2", "--task.episode-s", "0.3"),
-    *("--task.observation.no-budget", "--start-from", "None", "--handoffs-kind", "ik"),
+    *("--task.observation.no-budget", "--start-from", "None"),
 )
+STATES = asset_path("handoffs_standins.npz")
 
 
 def command(module: str, *arguments: str | Path) -> subprocess.CompletedProcess:
@@ -51,22 +52,30 @@ def command(module: str, *arguments: str | Path) -> subprocess.CompletedProcess:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A run of two iterations on the brick's stand-in, handoffs made on the way."""
+    """A run of two iterations on the brick's stand-in."""
     folder = tmp_path_factory.mktemp("runs") / "tiny"
-    done = command("train", "--preset", "cpu", *TINY, "--handoffs-per-object", "8", "--out", folder)
+    done = command("train", "--preset", "cpu", *TINY, "--handoffs", STATES, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
+
+
+@pytest.mark.long
+def test_a_training_without_start_states_makes_its_own(tmp_path):
+    folder, made = tmp_path / "tiny", ("--handoffs-kind", "ik", "--handoffs-per-object", "8")
+    none = ("--evaluation-episodes", "0", "--out", folder)
+    done = command("train", "--preset", "cpu", *TINY, *made, *none)
+    assert done.returncode == 0, done.stderr
+    assert len(load_handoffs(folder / "handoffs.npz")) == 8
 
 
 def test_a_training_leaves_everything_behind(trained):
     present = {p.name for p in trained.iterdir()}
     assert present >= {
-        *("config.json", "provenance.json", "metrics.csv", "policy.npz", "handoffs.npz"),
-        *("results.json", "report.html", "checkpoints", "tensorboard", "grasp.npz"),
+        *("config.json", "provenance.json", "metrics.csv", "policy.npz", "results.json"),
+        *("report.html", "checkpoints", "tensorboard", "grasp.npz"),
     }
     assert len((trained / "metrics.csv").read_text().splitlines()) == 3
     assert load_policy(trained / "policy.npz").meta["objects"] == ["foam_brick"]
-    assert len(load_handoffs(trained / "handoffs.npz")) == 8
     results = read_results(trained / "results.json")
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     rows = results.rows
@@ -93,7 +102,7 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(
     trained, scene, tmp_path, monkeypatch, capsys
 ):
     states, run = tmp_path / "states.npz", tmp_path / "run"
-    states.write_bytes((trained / "handoffs.npz").read_bytes())
+    states.write_bytes(STATES.read_bytes())
     config = replace(stored_config(trained), handoffs=states, resume=None, out=run)
     monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
     monkeypatch.setattr(job, "_build", lambda *_: "a world")
@@ -101,7 +110,7 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(
     monkeypatch.setattr(job, "_made_handoffs", lambda *_: None)
     run_training(config, Console(quiet=True))
     run_training(stored_config(run), Console(quiet=True))
-    states.write_bytes(asset_path("handoffs_standins.npz").read_bytes())
+    states.write_bytes(asset_path("handoffs_reached.npz").read_bytes())
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
     assert "states.npz: found a changed file" in error and str(run) in error
@@ -201,11 +210,11 @@ def test_a_run_is_never_overwritten(trained):
     assert "a run that is already there" in done.stderr
 
 
-def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
+def test_evaluate_writes_rows_of_the_stated_condition(tmp_path):
     out = tmp_path / "squeeze.json"
     done = command(
         *("evaluate", "--controller", "squeeze", "--squeeze-force", "4", "--objects"),
-        *("foam_brick", "--episodes", "3", "--handoffs", trained / "handoffs.npz"),
+        *("foam_brick", "--episodes", "3", "--handoffs", STATES),
         *("--states", "all", "--offset-mm", "2", "--angle-deg", "3", "--friction", "0.6"),
         *("--seed", "5", "--out", out),
     )
@@ -219,15 +228,15 @@ def test_evaluate_writes_rows_of_the_stated_condition(trained, tmp_path):
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)
     assert results.provenance["command"].startswith("python -m mjx_grasp.evaluate --controller")
     assert results.extra["settings"]["states"] == "all"
-    handoffs = hashlib.sha256((trained / "handoffs.npz").read_bytes()).hexdigest()
+    handoffs = hashlib.sha256(STATES.read_bytes()).hexdigest()
     assert results.extra["sha256"] == {"handoffs": handoffs}
 
 
-def test_evaluate_runs_a_grip_that_feels_in_a_poor_robot(trained, tmp_path):
+def test_evaluate_runs_a_grip_that_feels_in_a_poor_robot(tmp_path):
     out = tmp_path / "grip.json"
     done = command(
         *("evaluate", "--controller", "grip", "--grip.friction", "0.5", "--objects", "foam_brick"),
-        *("--episodes", "3", "--handoffs", trained / "handoffs.npz", "--states", "all"),
+        *("--episodes", "3", "--handoffs", STATES, "--states", "all"),
         *("--mass-scale", "1.5", "--robot-errors.torque-std", "0.01", "--out", out),
     )
     assert done.returncode == 0, done.stderr

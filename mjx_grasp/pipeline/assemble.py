@@ -88,6 +88,7 @@ def whole_grasps(
         edge_weight=800.0,
         lesser_cost=80.0 if steered else 35.0,
         at_least=STEERED_AT_LEAST if steered else (),
+        easily=1.45 if steered else float("inf"),
         lesser_scores=(0.0,),
         approach=approach,
     )

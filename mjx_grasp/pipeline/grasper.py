@@ -121,7 +121,7 @@ class Grasper:
             q: Measured joint positions [rad].
             key: Of what is tried at random.
             tried: `GraspState.tried`, nothing by default. Another way is not looked for near the
-                contact of one that has failed, nor near an anchor.
+                contact of one that has failed; and the more have, the farther from an anchor.
         """
         if self.planner is None:
             return None
@@ -131,7 +131,7 @@ class Grasper:
         tried = tried or Tried.nothing()
         away = norm(known.candidates.thumb - tried.avoid) >= self.config.avoided
         candidates = known.candidates._replace(valid=known.candidates.valid & away)
-        plans = self.planner.search(library, candidates, around, q, key, tried.failed).plans
+        plans = self.planner.search(library, candidates, around, q, key, tried.failures).plans
         return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
 
     def start(
@@ -154,6 +154,7 @@ class Grasper:
             entered=phases.at[Phase.REACHING].set(0.0),
             returns=jnp.int32(0),
             retries=jnp.int32(0),
+            vain=jnp.int32(0),
             avoid=jnp.full(3, jnp.inf, jnp.float32),
             pose=start_estimate(seen.p_wo, seen.R_wo),
             reach=self._start_reach(measured, known, seen, ways),
@@ -371,6 +372,7 @@ class Grasper:
             phase=phase,
             failure=jnp.where(in_vain, Failure.NONE, after.failure).astype(jnp.int32),
             retries=after.retries + in_vain,
+            vain=after.vain + in_vain,
         )
         return after, in_vain | ((phase == Phase.REACHING) & (before.phase != Phase.REACHING))
 

@@ -54,15 +54,15 @@ class Seen(NamedTuple):
 class Tried(NamedTuple):
     """What new plans have to know of the tries before."""
 
-    failed: Bool[Array, ""]
-    """whether one has failed"""
-    avoid: Float[Array, " 3"]
+    failures: Int[Array, "*w"]
+    """how many have failed, a reach in vain counting twice"""
+    avoid: Float[Array, "*w 3"]
     """thumb contact of the last that failed after closing, object frame; +inf before that [m]"""
 
     @classmethod
     def nothing(cls, *worlds: int) -> Tried:
         """Before the first try, in one world or several."""
-        return cls(jnp.zeros(worlds, bool), jnp.full((*worlds, 3), jnp.inf, jnp.float32))
+        return cls(jnp.zeros(worlds, jnp.int32), jnp.full((*worlds, 3), jnp.inf, jnp.float32))
 
 
 class ClosingMemory(NamedTuple):
@@ -105,6 +105,8 @@ class GraspState(NamedTuple):
     """times that the object was reached for again after a handoff"""
     retries: Int[Array, ""]
     """of them, after a grasp that failed"""
+    vain: Int[Array, ""]
+    """of these, after a reach in vain"""
     avoid: Float[Array, " 3"]
     """thumb contact of that grasp, object frame, +inf before the first [m]"""
     pose: PoseEstimate
@@ -122,7 +124,7 @@ class GraspState(NamedTuple):
     @property
     def tried(self) -> Tried:
         """What new plans have to know."""
-        return Tried(self.retries > 0, self.avoid)
+        return Tried(self.retries + self.vain, self.avoid)
 
 
 class GraspTick(NamedTuple):

@@ -70,6 +70,10 @@ class PlanConfig(Settings):
     """of the candidates that can be used where the object lies, so many of the highest scores are
     looked at, those with the selection's least score among them; where there is no good posture for
     them, more, one number after the other; by default those with that score alone [-]"""
+    easily: PositiveOrNever = float("inf")
+    """after the first number, and first of all after a try that failed, comes as many again of the
+    contacts that ask for no more than so many times the least force of all that can be used, by an
+    estimate; by default not [-]"""
     lesser_scores: tuple[NonNegative, ...] = ()
     """where no good posture is found for candidates of the selection's least score: the least
     scores with which they are looked for then, one after the other [-]"""

@@ -105,6 +105,7 @@ def closing_costs(
 
 def light_enough(
     plan: PlanConfig,
+    heavier: float,
     admissible: Bool[Array, " v"],
     contacts: Float[Array, "v 3 3"],
     around: Surroundings,
@@ -113,15 +114,16 @@ def light_enough(
 
     Args:
         plan: The search's settings.
+        heavier: How many times that force may be; with infinitely many all are.
         admissible: Which may be used at all.
         contacts: Thumb, index and middle, world [m].
         around: Object and obstacles.
     """
-    if not np.isfinite(plan.heavier):
+    if not np.isfinite(heavier):
         return jnp.ones(len(contacts), bool)
     contact = ContactConfig(friction=plan.press_friction)
     force = about_holding_force(contacts, pull(around, 1.0), contact)
-    return force <= plan.heavier * jnp.min(jnp.where(admissible, force, jnp.inf))
+    return force <= heavier * jnp.min(jnp.where(admissible, force, jnp.inf))
 
 
 def slip_costs(

@@ -84,6 +84,24 @@ def _ways(candidates: Candidates, around: Surroundings, selection: SelectionConf
     return _Ways(options, Options(TipGoals(goals, pads), high & scores))
 
 
+class _Try(NamedTuple):
+    """Among which candidates a search looks."""
+
+    least: Float[Array, ""] | float
+    """score that they have"""
+    light: bool = False
+    """whether those alone that hold the object with little more force than the best of them"""
+    easy: bool = False
+    """the same, than the best of all that can be used"""
+
+
+def _opposing(plan: PlanConfig, options: TargetOptions) -> Bool[Array, " o"]:
+    """Which contacts oppose each other, if that is looked at; it does not matter how it lies."""
+    if not np.isfinite(plan.must_hold):
+        return jnp.ones(len(options.candidate), bool)
+    return opposing(plan.must_hold, options.position, options.normal)
+
+
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Planner:
@@ -100,7 +118,7 @@ class Planner:
         around: Surroundings,
         q: Float[Array, " joints"],
         key: Array,
-        anywhere: Bool[Array, ""] | bool = False,
+        failures: Int[Array, ""] | int = 0,
     ) -> Search:
         """Looks for a candidate and a posture to reach it, near the present configuration.
 
@@ -110,58 +128,79 @@ class Planner:
             around: Object and obstacles.
             q: Present configuration, [rad].
             key: Chooses among the library's entries around the object.
-            anywhere: Whether to leave out what the configuration looks for `at_least`, and go on
-                to its last lesser score at once.
+            failures: Of tries before, where the configuration looks for `at_least`: after one the
+                search begins with contacts that hold the object easily, after more with its last
+                lesser score.
         """
-        enough = self.reacher.selection.min_score
-
-        def among(least: Float[Array, ""], light: Bool[Array, ""]) -> Search:
-            raised = jnp.maximum(candidates.score, enough)
-            score = jnp.where(candidates.valid & (candidates.score >= least), raised, 0.0)
-            return self._search(library, candidates._replace(score=score), light, around, q, key)
-
-        plan, light = self.config, np.isfinite(self.config.heavier)
+        plan, enough = self.config, self.reacher.selection.min_score
+        light = np.isfinite(plan.heavier)
         if not (light or plan.at_least or plan.lesser_scores):
             return self._search(library, candidates, jnp.asarray(False), around, q, key)
-        scores, thorough = [jnp.asarray(enough), *map(jnp.asarray, plan.lesser_scores)], {0}
-        if plan.at_least:
-            scores[:1] = self._least_scores(candidates, around)
-            thorough.add(len(scores) - 1)
         # Of the best, and of the last where there is a wish, the light ones come first.
-        tries = [
-            (score, only)
-            for k, score in enumerate(scores)
-            for only in ((True, False) if light and k in thorough else (False,))
-        ]
-        least, only = jnp.stack([t[0] for t in tries]), jnp.asarray([t[1] for t in tries])
-        begin = jnp.int32(0)
+        twice = (True, False) if light else (False,)
+        tries = [_Try(enough, only) for only in twice]
+        tries += [_Try(least) for least in plan.lesser_scores]
+        begin, easy = jnp.int32(0), candidates.valid
         if plan.at_least:
-            begin = jnp.where(anywhere, len(tries) - (2 if light else 1), begin)
+            near, held, easy = self._wish(candidates, around)
+            wider: list[Array | float] = [*near[1:], *plan.lesser_scores]
+            tries = [_Try(near[0], only) for only in twice]
+            tries += [_Try(held, easy=True)] if np.isfinite(plan.easily) else []
+            tries += [_Try(least) for least in wider[:-1]]
+            tries += [_Try(least, only) for least in wider[-1:] for only in twice]
+            begins = jnp.array([0, len(twice), len(tries) - len(twice)])
+            begin = begins[jnp.minimum(failures, 2)]
+        least = jnp.stack([jnp.asarray(one.least) for one in tries])
+        only = jnp.array([(one.light, one.easy) for one in tries])
+
+        def among(k: Int[Array, ""]) -> Search:
+            counts = candidates.valid & (candidates.score >= least[k]) & (easy | ~only[k, 1])
+            score = jnp.where(counts, jnp.maximum(candidates.score, enough), 0.0)
+            counted = candidates._replace(score=score)
+            return self._search(library, counted, only[k, 0], around, q, key)
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
-            return (tried[0] < len(least)) & (tried[1].cost[0] >= plan.lesser_cost)
+            return (tried[0] < len(tries)) & (tried[1].cost[0] >= plan.lesser_cost)
 
         def again(tried: tuple[Int[Array, ""], Search]) -> tuple[Int[Array, ""], Search]:
-            found = among(least[tried[0]], only[tried[0]])
+            found = among(tried[0])
             better = found.cost[0] < tried[1].cost[0]
             best = jax.tree.map(lambda new, old: jnp.where(better, new, old), found, tried[1])
             return tried[0] + 1, best
 
-        nothing = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(among, least[0], only[0])
-        )
+        shapes = jax.eval_shape(among, begin)
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         nothing = nothing._replace(cost=jnp.full_like(nothing.cost, jnp.inf))
         return jax.lax.while_loop(in_vain, again, (begin, nothing))[1]
 
-    def _least_scores(self, candidates: Candidates, around: Surroundings) -> list[Float[Array, ""]]:
-        """Those with which at least so many candidates can be used where the object lies."""
-        targets = self.reacher.selection.targets
+    def _wish(
+        self, candidates: Candidates, around: Surroundings
+    ) -> tuple[list[Float[Array, ""]], Float[Array, ""], Bool[Array, " v"]]:
+        """Least scores with which `at_least` so many candidates can be used where the object lies.
+
+        Or all that have a score, where there are fewer.
+
+        Returns:
+            One for each of these numbers; one for the first, of those that hold the object easily;
+            and which candidates these are.
+        """
+        plan, targets = self.config, self.reacher.selection.targets
         options = target_options(candidates, targets)
         high = admissible(candidates, options, around.p_wo, around.R_wo, targets)
-        usable = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(high)
-        ranked = jnp.sort(jnp.where(usable, candidates.score, 0.0))[::-1]
-        enough, last = self.reacher.selection.min_score, len(ranked) - 1
-        return [jnp.minimum(enough, ranked[min(n - 1, last)]) for n in self.config.at_least]
+        high &= candidates.valid[options.candidate]
+        holds = high & _opposing(plan, options)
+        at = around.p_wo + options.position @ around.R_wo.T
+        holds &= light_enough(plan, plan.easily, holds, at, around)
+
+        def scores(counted: Bool[Array, " o"], numbers: tuple[int, ...]) -> list[Float[Array, ""]]:
+            usable = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(counted)
+            ranked = jnp.sort(jnp.where(usable, candidates.score, 0.0))[::-1]
+            last = jnp.maximum(jnp.sum(ranked > 0) - 1, 0)
+            enough = self.reacher.selection.min_score
+            return [jnp.minimum(enough, ranked[jnp.minimum(n - 1, last)]) for n in numbers]
+
+        easy = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(holds)
+        return scores(high, plan.at_least), scores(holds, plan.at_least[:1])[0], easy
 
     def _search(
         self,
@@ -177,10 +216,8 @@ class Planner:
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options
         at = around.p_wo + ways.targets.position @ around.R_wo.T
-        if np.isfinite(plan.must_hold):
-            # In the object's frame: it does not matter how that lies.
-            allowed &= opposing(plan.must_hold, ways.targets.position, ways.targets.normal)
-        allowed = allowed & (light_enough(plan, allowed, at, around) | ~light)
+        allowed &= _opposing(plan, ways.targets)
+        allowed &= light_enough(plan, plan.heavier, allowed, at, around) | ~light
         options = Options(goals, allowed)
         starts = choose_starts(body, library, plan.starts, options, around, q, key)
         option, home = starts.option, jnp.asarray(body.home)

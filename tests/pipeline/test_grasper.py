@@ -284,6 +284,7 @@ def test_a_lost_object_is_tried_again_once_and_elsewhere(make, closing, home, kn
     state, _ = tick(state, gone)
     assert (state.phase, state.failure, state.retries) == (Phase.REACHING, Failure.NONE, 1)
     np.testing.assert_array_equal(state.avoid, closing.closing.contacts.position[0])
+    assert state.vain == 0
     state, _ = tick(state, seen(p=there))
     assert state.phase == Phase.CLOSING
     state, _ = tick(state, seen(p=there))
@@ -456,6 +457,7 @@ def test_what_is_not_reached_is_planned_anew_once(make, home, known):
     state = grasper.start(home, known, seen())
     state, _ = ticks(grasper, state, home, known, seen(), 14)
     assert (state.phase, state.failure, state.retries) == (Phase.REACHING, Failure.NONE, 1)
+    assert state.vain == 1
     assert state.reach.clock < 0.1 and state.reach.tries == 0
     state, _ = ticks(grasper, state, home, known, seen(), 14)
     assert (state.phase, state.failure, state.retries) == (Phase.FAILED, Failure.NOT_REACHED, 1)
@@ -464,40 +466,41 @@ def test_what_is_not_reached_is_planned_anew_once(make, home, known):
 class _Chooses:
     """Always the first candidate, with its wraps one above the other."""
 
-    def search(self, library, candidates, around, q, key, anywhere=False):
+    def search(self, library, candidates, around, q, key, failures=0):
         along, first = jnp.array([[0.0, 0.0, 1.0]]), jnp.zeros(1, jnp.int32)
         return SimpleNamespace(plans=Plans(first, along, along, None))
 
 
 @pytest.mark.wrong_types
-def test_new_plans_keep_away_from_what_has_failed_and_give_up_an_anchor(make, known):
-    """A reach in vain gives the anchor up too, with no contact to keep away from."""
+def test_new_plans_know_how_many_tries_have_failed_and_keep_away_from_the_last(make, known):
+    """A reach in vain leaves no contact to keep away from."""
     heard = []
 
     class Hears(_Chooses):
-        def search(self, library, candidates, around, q, key, anywhere=False):
-            heard.append((np.asarray(candidates.valid), bool(anywhere)))
-            return super().search(library, candidates, around, q, key, anywhere)
+        def search(self, library, candidates, around, q, key, failures=0):
+            heard.append((np.asarray(candidates.valid), int(failures)))
+            return super().search(library, candidates, around, q, key, failures)
 
     grasper = replace(make(), planner=Hears())
     thumb = known.candidates.thumb[0]
-    for tried, away, anywhere in (
-        (None, False, False),
-        (Tried.nothing(), False, False),
-        (Tried.nothing()._replace(failed=jnp.asarray(True)), False, True),
-        (Tried(jnp.asarray(True), thumb), True, True),
+    for tried, away, failures in (
+        (None, False, 0),
+        (Tried.nothing(), False, 0),
+        (Tried.nothing()._replace(failures=jnp.int32(2)), False, 2),
+        (Tried(jnp.int32(1), thumb), True, 1),
     ):
         grasper.plan(None, known, seen(), None, None, tried)
         valid, said = heard.pop()
-        assert said == anywhere and valid[0] == (known.candidates.valid[0] & (not away))
+        assert said == failures and valid[0] == (known.candidates.valid[0] & (not away))
         far = np.linalg.norm(known.candidates.thumb - thumb, axis=1) > 0.021
         assert np.array_equal(valid[far], known.candidates.valid[far])
 
 
 def test_what_plans_are_told_of_the_tries_before_is_in_the_state(begun):
-    assert not begun.tried.failed and np.all(np.isinf(begun.tried.avoid))
-    later = begun._replace(retries=jnp.int32(1), avoid=jnp.ones(3))
-    assert later.tried.failed and np.array_equal(later.tried.avoid, np.ones(3))
+    """A reach in vain counts twice: near an anchor there is no way."""
+    assert begun.tried.failures == 0 and np.all(np.isinf(begun.tried.avoid))
+    later = begun._replace(retries=jnp.int32(2), vain=jnp.int32(1), avoid=jnp.ones(3))
+    assert later.tried.failures == 3 and np.array_equal(later.tried.avoid, np.ones(3))
 
 
 @pytest.mark.wrong_types
@@ -601,14 +604,34 @@ def test_near_an_anchor_on_the_table_those_are_looked_for_that_can_be_used(robot
     usable = np.isin(np.arange(len(known.candidates.score)), options.candidate[high])
     score = np.asarray(known.candidates.score)
     assert not np.any(usable & (score >= STEERED_SCORE))
-    least = [float(x) for x in planner._least_scores(known.candidates, around)]
+    near, held, easy = planner._wish(known.candidates, around)
+    least, easy = [float(x) for x in near], np.asarray(easy)
     assert len(least) == len(STEERED_AT_LEAST) and least[0] >= least[-1] > 0
     for count, bound in zip(STEERED_AT_LEAST, least, strict=True):
         found = usable & (score >= bound)
         assert min(count, usable[score > 0].sum()) <= found.sum()
         assert (usable & (score > bound)).sum() < count
+    # Upright it is held as easily at every height.
+    np.testing.assert_allclose(held, least[0], rtol=1e-6)
+    assert easy.any() and not np.any(easy & ~usable)
     standing = Surroundings.still(known.shape, p_wo + jnp.array([0.0, 0.0, 0.3]), jnp.eye(3))
-    assert planner._least_scores(known.candidates, standing)[0] == STEERED_SCORE
+    assert planner._wish(known.candidates, standing)[0][0] == STEERED_SCORE
+
+
+def test_near_the_end_of_what_lies_those_that_hold_it_easily_are_nearer_to_its_middle(robot):
+    (can,) = load_objects(("chips_can",))
+    heatmap = heatmap_of(can, robot.hand)
+    end = np.array([0.0, 0.0, float(can.mesh.vertices[:, 2].max())])
+    known = known_object(can, robot, heatmap, steer_to(heatmap, end))
+    planner = grasper_of(robot, reaching=whole_grasps(steered=True)).planner
+    lying = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    p_wo = jnp.array([0.5, 0.0, float(can.mesh.vertices[:, 0].max())])
+    around = Surroundings.still(known.shape, p_wo, lying, known.com, known.weight)
+    near, held, easy = planner._wish(known.candidates, around)
+    assert 0 < held < 0.1 * near[0]
+    first = np.asarray(known.candidates.score) >= float(near[0])
+    along = np.abs(np.asarray(known.candidates.thumb)[:, 2] - float(known.com[2]))
+    assert along[np.asarray(easy)].max() < along[first].min()
 
 
 class _Finds(Planner):
@@ -670,27 +693,31 @@ def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs
 
 @pytest.mark.wrong_types
 @pytest.mark.parametrize(
-    ("reachable", "anywhere", "expected"),
-    [((1, 1, 1), False, 2), ((1, 1, 0), False, 1), ((1, 0, 0), False, 0), ((1, 1, 1), True, 0)],
+    ("reachable", "failures", "expected"),
+    [
+        *[((1, 1, 1, 1), 0, 3), ((1, 1, 1, 0), 0, 1), ((1, 0, 1, 0), 0, 2), ((1, 0, 0, 0), 0, 0)],
+        *[((1, 1, 1, 1), 1, 1), ((1, 0, 1, 1), 1, 2), ((1, 1, 1, 1), 2, 0), ((1, 1, 1, 1), 3, 0)],
+    ],
 )
-def test_a_wish_is_given_up_step_by_step_and_at_once_after_a_grasp_that_failed(
-    reachable, anywhere, expected
+def test_a_wish_is_given_up_step_by_step_and_further_after_each_grasp_that_failed(
+    reachable, failures, expected
 ):
-    """Where all count, the first one costs least."""
+    """Where all count, the first one costs least; the second holds the object easily."""
 
     class Wishes(_Finds):
-        def _least_scores(self, candidates, around):
-            return [jnp.float32(0.5), jnp.float32(0.2)]
+        def _wish(self, candidates, around):
+            scores = [jnp.float32(0.5), jnp.float32(0.2)]
+            return scores, jnp.float32(0.1), jnp.arange(4) == 1
 
-    config = replace(PlanConfig(), at_least=(1, 2), lesser_scores=(0.0,), heavier=1.25)
+    config = PlanConfig(at_least=(1, 2), lesser_scores=(0.0,), heavier=1.25, easily=1.45)
     planner = Wishes(SimpleNamespace(selection=SimpleNamespace(min_score=0.5)), config)
     candidates = SimpleNamespace(
-        score=jnp.array([0.0, 0.3, 0.9]),
-        valid=jnp.ones(3, bool),
+        score=jnp.array([0.0, 0.1, 0.3, 0.9]),
+        valid=jnp.ones(4, bool),
         thumb=jnp.array(reachable)[:, None],
     )
     candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
-    found = planner.search(0, candidates, None, None, None, anywhere)
+    found = planner.search(0, candidates, None, None, None, failures)
     assert found.plans[0] == expected
 
 

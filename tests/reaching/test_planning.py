@@ -292,8 +292,7 @@ def test_contacts_that_ask_for_little_more_than_the_least_are_light_enough(plann
     every = jnp.ones(8, bool)
 
     def light(heavier, admissible=every):
-        config = replace(plan, heavier=heavier)
-        return np.asarray(light_enough(config, admissible, contacts, around)).tolist()
+        return np.asarray(light_enough(plan, heavier, admissible, contacts, around)).tolist()
 
     assert all(light(float("inf")))
     few, more = light(1.5), light(3.0)

@@ -6,13 +6,12 @@ policy, and with it the run, in its command.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from collect_runs import run_rows
 from policy_tables import named_run
-from stage_tables import NOTHING, markdown, of_most_trials, short_revision
+from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
@@ -89,7 +88,7 @@ def success_from_home(folder: Path) -> str:
     judged = from_home(folder)
     if not judged:
         return NOTHING
-    parts = _by_parts([folder / "scenarios.json", folder / "grasps_eight.json"])
+    parts = _by_parts(folder / "scenarios.json")
     names = list(dict.fromkeys(name for column in judged.values() for name in column.rows))
     lines = []
     for name in names:
@@ -139,12 +138,12 @@ def _failures(run: str, column: Column) -> str:
     return f"{text}."
 
 
-def _by_parts(paths: Sequence[Path]) -> dict[str, str]:
-    """Whole grasps from home by the modular system while nothing happens, of the longest run."""
-    longest = of_most_trials(paths)
-    if NOMINAL not in longest:
+def _by_parts(path: Path) -> dict[str, str]:
+    """Whole grasps from home by the modular system while nothing happens."""
+    record = read(path)
+    if record is None:
         return {}
-    _, nominal = longest[NOMINAL]
+    nominal = record["scenarios"][NOMINAL]
     found = {**nominal["objects"], "all": nominal["all"]}
     return {name: _rate(s["success_percent"], s["ci95"]) for name, s in found.items()}
 

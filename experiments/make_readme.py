@@ -61,7 +61,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     schemas = {path: schema_of(path) for path in files}
     results = [p for p in files if schemas[p] == SCHEMAS[ResultRow]]
     on_devices = sorted(folder.glob("devices_*.json"))
-    grasps = [folder / "scenarios.json", folder / "grasps_eight.json"]
+    scenarios = folder / "scenarios.json"
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
         root / "README.md": {"results": closing_tables.means(results)},
@@ -130,10 +130,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach-speed": reach_tables.reach_speed(
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
             ),
-            "grasps": stage_tables.whole_grasps(grasps),
+            "grasps": stage_tables.whole_grasps(scenarios),
             "grasps-all": stage_tables.grasps_by_split(folder / "grasps_all.json"),
-            "grasps-cracker-box": stage_tables.whole_grasps([folder / "grasps_cracker_box.json"]),
-            "scenarios": stage_tables.scenarios(grasps),
+            "grasps-cracker-box": stage_tables.whole_grasps(folder / "grasps_cracker_box.json"),
+            "scenarios": stage_tables.scenarios(scenarios),
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"
             ),

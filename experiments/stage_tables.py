@@ -190,16 +190,12 @@ def route(path: Path) -> str:
     )
 
 
-def whole_grasps(paths: Sequence[Path]) -> str:
-    """Grasps from home while nothing happens, object by object.
-
-    Args:
-        paths: As of `scenarios`.
-    """
-    found = of_most_trials(paths)
-    if NOMINAL not in found:
+def whole_grasps(path: Path) -> str:
+    """Grasps from home while nothing happens, object by object."""
+    record = read(path)
+    if record is None:
         return NOTHING
-    record, nominal = found[NOMINAL]
+    nominal = record["scenarios"][NOMINAL]
     lines = []
     for name, s in {**nominal["objects"], "all": nominal["all"]}.items():
         tips = " / ".join(_number(x) for x in s["tip_error_mm"])
@@ -233,7 +229,7 @@ def grasps_by_split(path: Path) -> str:
     refused = Counter(row["object"] for row in nominal["rows"] if _refused(row))
     names = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in refused.most_common())
     lines.append(f"- Trials without a way: {names or 'none'}.")
-    return f"{whole_grasps([path])}\n\n" + "\n".join(lines)
+    return f"{whole_grasps(path)}\n\n" + "\n".join(lines)
 
 
 def _refused(row: dict[str, Any]) -> bool:
@@ -253,29 +249,18 @@ def _closed_by(record: dict[str, Any]) -> str:
     return f"Closed by the policy, with a force budget of {config['force_budget']:g} N:\n\n"
 
 
-def scenarios(paths: Sequence[Path]) -> str:
-    """Grasps from home while this or that happens, over all objects.
-
-    Args:
-        paths: Results files; a scenario that several have is taken from where it has most trials.
-    """
+def scenarios(path: Path) -> str:
+    """Grasps from home while this or that happens, over all objects."""
+    record = read(path)
+    if record is None:
+        return NOTHING
     lines = []
-    for name, (_, result) in of_most_trials(paths).items():
+    for name, result in record["scenarios"].items():
         s = result["all"]
         what = f"{name.replace('_', ' ')}: {result['settings']['description']}"
         lines.append((what, *_grasp_cells(s), *_failure_cells(s), str(s["hit"])))
     header = ("scenario", *_GRASP_COLUMNS, "not reached", "lost", "hit")
-    return markdown(Table("Scenarios", header, tuple(lines))) if lines else NOTHING
-
-
-def of_most_trials(paths: Sequence[Path]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Of each scenario the file with most trials of it, and what that says of it."""
-    found: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
-    for d in filter(None, map(read, paths)):
-        for name, result in d["scenarios"].items():
-            if name not in found or found[name][1]["all"]["trials"] < result["all"]["trials"]:
-                found[name] = d, result
-    return found
+    return markdown(Table("Scenarios", header, tuple(lines)))
 
 
 def foreign_meshes(path: Path) -> str:

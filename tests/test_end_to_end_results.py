@@ -126,9 +126,7 @@ def test_success_from_home_stands_beside_the_parts_and_the_publication(tmp_path)
     summed = {"success_percent": 87.5, "ci95": [52.9, 97.8]}
     every = summed | {"ci95": [60.0, 97.0], "trials": 64}
     nominal = {"objects": {"apple": summed}, "all": every}
-    fewer = {"objects": {"apple": summed | {"success_percent": 50.0}}, "all": {"trials": 6}}
-    write_json(tmp_path / "scenarios.json", {"scenarios": {"nominal": fewer}})
-    write_json(tmp_path / "grasps_eight.json", {"scenarios": {"nominal": nominal}})
+    write_json(tmp_path / "scenarios.json", {"scenarios": {"nominal": nominal}})
     text = tables.success_from_home(tmp_path)
     assert "| apple | 3.1 (1–11) | 87.5 (53–98) |  |" in text
     assert "| **mean** | **3.1 (1–11)** |  |  |" in text, "of one object no mean is beside another"

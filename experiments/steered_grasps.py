@@ -236,7 +236,7 @@ class Steered:
             p_wo=np.concatenate([part.p_wo for part in drawn]),
             quat=np.concatenate([part.quat for part in drawn]),
         )
-        # Compiled functions are of one object: each of these is made once.
+        # Each is made once: what is compiled for one controller is not for its like.
         self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))
         self._grasper = functools.cache(self._new_grasper)
 
@@ -245,7 +245,7 @@ class Steered:
         return [(way, k) for way in WAYS for k in range(0, len(self._places), _TOGETHER)]
 
     def rows(self, job: tuple[str, int]) -> list[dict[str, Any]]:
-        """A part of the trials in one way; its poses and plans are those of the other way."""
+        """A part of the trials in one way, from the poses and with the draws of the other way."""
         way, first = job
         part = slice(first, first + _TOGETHER)
         places = self._places[part]

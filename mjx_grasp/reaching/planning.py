@@ -151,13 +151,14 @@ class Planner:
             begins = jnp.array([0, len(twice), len(tries) - len(twice)])
             begin = begins[jnp.minimum(failures, 2)]
         least = jnp.stack([jnp.asarray(one.least) for one in tries])
-        only = jnp.array([(one.light, one.easy) for one in tries])
+        only_light = jnp.array([one.light for one in tries])
+        only_easy = jnp.array([one.easy for one in tries])
 
         def among(k: Int[Array, ""]) -> Search:
-            counts = candidates.valid & (candidates.score >= least[k]) & (easy | ~only[k, 1])
+            counts = candidates.valid & (candidates.score >= least[k]) & (easy | ~only_easy[k])
             score = jnp.where(counts, jnp.maximum(candidates.score, enough), 0.0)
             counted = candidates._replace(score=score)
-            return self._search(library, counted, only[k, 0], around, q, key)
+            return self._search(library, counted, only_light[k], around, q, key)
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
             return (tried[0] < len(tries)) & (tried[1].cost[0] >= plan.lesser_cost)

@@ -34,7 +34,7 @@ from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.assemble import known_objects
 from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Seen
@@ -77,7 +77,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
     objects = list(load_objects(config.objects, config.objects_dir, weight=config.weight))
     library = start_library(grasper.reacher.body, grasper.planner.config)
     physics = NativePhysics(build_scene(objects, robot), grasper.dt, threads=1)
-    known = [known_object(obj, robot) for obj in objects]
+    known = known_objects(objects, robot)
     problem = draw_problem(objects, config.grasps, config.seed)
     at = physics.scene.addresses
     order, home = np.argsort(at.robot_ctrl), np.asarray(robot.home, np.float32)

@@ -33,7 +33,7 @@ from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import known_object
+from mjx_grasp.pipeline.assemble import known_objects
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
@@ -110,7 +110,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
         else NativePhysics(scene, grasper.dt)
     )
     problem = draw_problem(objects, config.worlds // len(objects), config.seed)
-    known = known_of([known_object(obj, robot) for obj in objects], problem)
+    known = known_of(known_objects(objects, robot), problem)
     measurements = _run(config, grasper, physics, known, problem, console)
     record = {
         "schema": "mjx_grasp.grasper_worlds/1",

@@ -91,6 +91,7 @@ def minimise(
         damping: Of the first step, of the diagonal of the normal equations.
     """
 
+    @jax.jit  # traced once: for its shapes and for the loop
     def evaluated(x: Float[Array, " n"]) -> _Evaluation:
         errors, rows, known = linearise(x)
         pulled = pull * (x - reference)

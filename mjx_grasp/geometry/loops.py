@@ -1,12 +1,31 @@
-"""Sums of a few cheap terms, as suits what computes them."""
+"""Short loops and sums of a few cheap terms, as suits what computes them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
+
+State = TypeVar("State")
+
+
+def repeated(count: int, step: Callable[[State], State], begin: State) -> State:
+    """What becomes of a state in so many steps.
+
+    A processor goes round in a loop, for which there is less to compile; on a GPU, where each round
+    would be kernels of its own, the steps are written out.
+
+    Args:
+        count: Of steps.
+        step: From a state to the next one.
+        begin: The state at first.
+    """
+    return jax.lax.fori_loop(
+        0, count, lambda _, state: step(state), begin, unroll=jax.default_backend() != "cpu"
+    )
 
 
 def sum_over(count: int, terms: Callable[[Int[Array, ""]], tuple[Array, ...]]) -> tuple[Array, ...]:
@@ -21,6 +40,7 @@ def sum_over(count: int, terms: Callable[[Int[Array, ""]], tuple[Array, ...]]) -
         terms: Of a number.
     """
     if jax.default_backend() == "cpu":
+        terms = jax.jit(terms)  # traced once: for its shapes and for the loop
         begin = tuple(jnp.zeros(t.shape, t.dtype) for t in jax.eval_shape(terms, jnp.int32(0)))
 
         def add(number: Int[Array, ""], sums: tuple[Array, ...]) -> tuple[Array, ...]:

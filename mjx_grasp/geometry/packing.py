@@ -1,4 +1,7 @@
-"""Many small arrays between host and device as one: each transfer costs more than its bytes."""
+"""Arrays as few transfers and compilations are to see them: in one piece, and of few sizes.
+
+Each transfer between host and device costs more than its bytes, and each new size a compilation.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,18 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array, UInt32
+
+# Rows are filled up to multiples of at least this.
+_LEAST_STEP = 512
+
+
+def filled_size(rows: int) -> int:
+    """To how many rows arrays are filled up, so that those of similar sizes share a compilation.
+
+    It is a multiple of at least 512, and of an eighth of the size or less.
+    """
+    step = max(_LEAST_STEP, 2 ** max(0, rows.bit_length() - 4))
+    return -(-rows // step) * step
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ def product(
     a: Float[Array, "*#batch 3 3"], b: Float[Array, "*#batch 3 3"]
 ) -> Float[Array, "*batch 3 3"]:
     """``a b`` of matrices, written out: a reduction would end the fusion with what comes before."""
-    x, y, z = (a[..., :, k, None] * b[..., None, k, :] for k in range(3))
-    return x + y + z
+    parts = a[..., :, :, None] * b[..., None, :, :]
+    return parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
 
 
 def _hat(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 def dot(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*batch"]:
     """Inner product of 3-vectors."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    parts = a * b
+    return parts[..., 0] + parts[..., 1] + parts[..., 2]
 
 
 def norm(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
@@ -36,16 +37,16 @@ def turned(
     R: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]
 ) -> Float[Array, "*batch 3"]:
     """``R v``: vectors of a frame, given by its rotation, in that which it is rotated in."""
-    x, y, z = (R[..., k] * v[..., k, None] for k in range(3))
-    return x + y + z
+    parts = R * v[..., None, :]
+    return parts[..., 0] + parts[..., 1] + parts[..., 2]
 
 
 def turned_back(
     R: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]
 ) -> Float[Array, "*batch 3"]:
     """``Rᵀ v``: the way back of :func:`turned`."""
-    x, y, z = (R[..., k, :] * v[..., k, None] for k in range(3))
-    return x + y + z
+    parts = R * v[..., :, None]
+    return parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
 
 
 def angle_between(

@@ -149,42 +149,71 @@ def _held_load(
     first = jnp.concatenate([against, jnp.zeros(3)])
     free = _complement(first)
 
-    def twist(y: Float[Array, " 5"]) -> Float[Array, " 6"]:
-        return first + free @ y
+    # Of each contact, by the twist u = first + free y: along its normal, and what friction bears.
+    eye = jnp.broadcast_to(jnp.eye(3), (3, 3, 3))
+    velocity = jnp.concatenate([eye, -jnp.cross(eye, arm[:, None, :])], axis=-1)
+    along = jnp.einsum("ia,iab->ib", inward, velocity)
+    across = config.friction * (velocity - inward[:, :, None] * along[:, None, :])
+    turn = jnp.concatenate([jnp.zeros((3, 3)), torsion * inward], axis=-1)
+    slides = jnp.concatenate([across, turn[:, None, :]], axis=1)
+    along_first, slides_first = along @ first, slides @ first
+    along, slides = along @ free, slides @ free
+    # Of the unknowns x = (y, v): how v_i - along_i changes, and half the second derivative of what
+    # is inside a cone, (v_i - along_i)² - |slides_i|².
+    lever = jnp.concatenate([-along, jnp.eye(3)], axis=1)
+    bent = jnp.einsum("iab,iac->ibc", slides, slides)
+    curve = lever[:, :, None] * lever[:, None, :] - jnp.pad(bent, [(0, 0), (0, 3), (0, 3)])
 
-    def support(u: Float[Array, " 6"]) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
-        """What each contact gains per N: along its normal, and at most by friction."""
-        velocity = u[:3] + jnp.cross(u[3:], arm)
-        along = dot(velocity, inward)
-        across = velocity - along[:, None] * inward
-        turn = torsion * dot(u[3:], inward)
-        return along, jnp.sqrt(config.friction**2 * dot(across, across) + turn**2 + 1e-12)
-
-    def barrier(x: Float[Array, " 8"], weight: Float[Array, ""]) -> Float[Array, ""]:
-        u, v = twist(x[:5]), x[5:]
-        along, friction = support(u)
-        inside = (v - along - friction) * (v - along + friction)
-        room = _FARTHEST**2 - jnp.sum(u**2)
-        return weight * jnp.sum(v) - jnp.sum(jnp.log(inside) + jnp.log(v)) - jnp.log(room)
-
-    gradient, hessian = jax.grad(barrier), jax.hessian(barrier)
+    def cones(x: Float[Array, " 8"]) -> _Cones:
+        gap = lever @ x - along_first
+        slide = slides_first + slides @ x[:5]
+        friction = jnp.sqrt(jnp.sum(slide * slide, axis=1) + 1e-12)
+        down = jnp.einsum("ia,iab->ib", slide, slides)
+        return _Cones(
+            inside=(gap - friction) * (gap + friction),
+            slope=gap[:, None] * lever - jnp.pad(down, [(0, 0), (0, 3)]),
+            needed=x[5:] - gap + friction,
+            # The first twist is perpendicular to the others.
+            room=_FARTHEST**2 - 1.0 - jnp.sum(x[:5] ** 2),
+        )
 
     def newton(x: Float[Array, " 8"], weight: Float[Array, ""]) -> tuple[Float[Array, " 8"], None]:
-        g, h = gradient(x, weight), hessian(x, weight)
+        """Of weight·Σv − Σ log inside − Σ log v − log room."""
+        inside, slope, _, room = cones(x)
+        over_v = jnp.concatenate([jnp.zeros(5), 1.0 / x[5:]])
+        y = jnp.concatenate([x[:5], jnp.zeros(3)]) * (2.0 / room)
+        slope = slope * (2.0 / inside)[:, None]
+        g = jnp.where(jnp.arange(8) < 5, 0.0, weight) - jnp.sum(slope, axis=0) - over_v + y
+        h = slope.T @ slope - jnp.einsum("i,iab->ab", 2.0 / inside, curve) + jnp.outer(y, y)
+        h = h + jnp.diag(over_v**2 + jnp.where(jnp.arange(8) < 5, 2.0 / room, 0.0))
         unit = jax.lax.rsqrt(jnp.diagonal(h))  # a diagonal of ones is what float32 solves best
         step = unit * solve_spd(h * unit * unit[:, None] + 1e-6 * jnp.eye(8), unit * g)
         decrement = jnp.sqrt(jnp.maximum(jnp.sum(step * g), 0.0))
         moved = x - step / jnp.where(decrement > _FULL_STEP, 1.0 + decrement, 1.0)
-        # Rounding may carry it over the barrier, where its value is no number.
-        return jnp.where(jnp.isfinite(barrier(moved, weight)), moved, x), None
+        # Rounding may carry it over the barrier.
+        there = cones(moved)
+        least = jnp.minimum(jnp.min(there.inside), jnp.minimum(jnp.min(moved[5:]), there.room))
+        return jnp.where(least > 0, moved, x), None
 
-    along, friction = support(first)
-    begin = jnp.concatenate([jnp.zeros(5), jnp.maximum(along + friction, 0.0) + 1.0])
+    begin = jnp.maximum(cones(jnp.zeros(8)).needed, 0.0) + 1.0
     weights = np.repeat(np.geomspace(_FIRST, _LAST, _ROUNDS), _STEPS)
-    x, _ = jax.lax.scan(newton, begin, jnp.asarray(weights, arm.dtype))
-    along, friction = support(twist(x[:5]))
-    held = jnp.sum(jnp.maximum(along + friction, 0.0))
+    start = jnp.concatenate([jnp.zeros(5), begin])
+    x, _ = jax.lax.scan(newton, start, jnp.asarray(weights, arm.dtype))
+    held = jnp.sum(jnp.maximum(cones(x).needed, 0.0))
     return jnp.where(held > _LEAST_HELD, held, 0.0)
+
+
+class _Cones(NamedTuple):
+    """Of the programme's constraints at some unknowns."""
+
+    inside: Float[Array, " 3"]
+    """(v - along)² - friction² of each contact, positive within the cone"""
+    slope: Float[Array, "3 8"]
+    """half of its gradient"""
+    needed: Float[Array, " 3"]
+    """along + friction: the least v"""
+    room: Float[Array, ""]
+    """to the bound on the twist"""
 
 
 def _complement(direction: Float[Array, " 6"]) -> Float[Array, "6 5"]:

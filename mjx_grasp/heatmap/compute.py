@@ -19,6 +19,7 @@ from mjx_grasp.geometry.mesh import (
     surface_normals,
     triangles_of,
 )
+from mjx_grasp.geometry.packing import filled_size
 from mjx_grasp.heatmap.backends import (
     backend_for,
     begin_brute,
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
     from mjx_grasp.robot.spec import HandSpec
 
-# Arrays are padded to multiples of at least this, and of an eighth of their size: meshes of
-# similar size share one compilation.
-_LEAST_STEP = 512
 # Vertices worked on at once: bounds the memory of many meshes.
 _MOST_VERTICES = 250_000
 
@@ -242,17 +240,12 @@ def _checked(
     return vertices, faces.astype(np.int32)
 
 
-def _bucket(n: int) -> int:
-    step = max(_LEAST_STEP, 2 ** max(0, n.bit_length() - 4))
-    return -(-n // step) * step
-
-
 def _groups(sizes: Sequence[tuple[int, int]], config: HeatmapConfig) -> list[list[int]]:
     """Which meshes are worked on together: those of one backend, if brute also of one size."""
     keyed: dict[object, list[list[int]]] = {}
     for i, (vertices, faces) in enumerate(sizes):
         backend = backend_for(faces, config)
-        key = backend if backend == "bvh" else (_bucket(vertices), _bucket(faces))
+        key = backend if backend == "bvh" else (filled_size(vertices), filled_size(faces))
         groups = keyed.setdefault(key, [[]])
         together = sum(sizes[j][0] for j in groups[-1]) + vertices
         if groups[-1] and together > _MOST_VERTICES:
@@ -276,7 +269,7 @@ def _stacked(meshes: Sequence[Surfaces]) -> Surfaces:
 
     Filled up with vertices without a normal, and with copies of the last face that have no area.
     """
-    vertices, faces = _bucket(len(meshes[0].vertices)), _bucket(len(meshes[0].faces))
+    vertices, faces = filled_size(len(meshes[0].vertices)), filled_size(len(meshes[0].faces))
     rows = Surfaces(vertices, vertices, faces, faces, faces, faces, None, None)
     fills = Surfaces(*(None,) * len(Surfaces._fields))._replace(normals=0.0, areas=0.0)
     columns = zip(*meshes, strict=True)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry.packing import filled_size
 from mjx_grasp.grasp.candidates import Candidates, first_and_rest
 from mjx_grasp.grasp.wrench_margin import ContactConfig
-from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.compute import heatmap_of, heatmaps_of
 from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
@@ -144,11 +149,17 @@ def known_object(
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     if score is None:
-        candidates = first_and_rest(heatmap, None, CANDIDATES - CANDIDATES // 4, CANDIDATES)
+        candidates = _chosen(*_filled(heatmap, heatmap.score), CANDIDATES)
     else:
-        candidates = steered_candidates(heatmap, jnp.asarray(score))
+        candidates = steered_candidates(heatmap, score)
     weight, com = jnp.float32(obj.weight), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
+
+
+def known_objects(objects: Sequence[ObjectModel], robot: RobotSpec) -> list[Known]:
+    """`known_object` of several, whose heatmaps are worked out together: sooner than one by one."""
+    heatmaps = heatmaps_of(objects, robot.hand)
+    return [known_object(obj, robot, h) for obj, h in zip(objects, heatmaps, strict=True)]
 
 
 def check_graspable(name: str, best: float, hand: HandSpec) -> None:
@@ -184,7 +195,28 @@ def steered_candidates(
         score: Of its vertices, by an anchor.
         count: How many.
     """
-    return first_and_rest(heatmap, steered_scores(heatmap, score), count - count // 4, count)
+    return _steered(*_filled(heatmap, score), count)
+
+
+@partial(jax.jit, static_argnames="count")
+def _steered(heatmap: Heatmap, score: Float[Array, " v"], count: int) -> Candidates:
+    return _chosen(heatmap, steered_scores(heatmap, score), count)
+
+
+@partial(jax.jit, static_argnames="count")
+def _chosen(heatmap: Heatmap, score: Float[Array, " v"], count: int) -> Candidates:
+    return first_and_rest(heatmap, score, count - count // 4, count)
+
+
+def _filled(heatmap: Heatmap, score: Float[Array, " v"]) -> tuple[Heatmap, Float[Array, " w"]]:
+    """Filled up with what is no candidate, so that not every object compiles for itself."""
+    more = filled_size(len(score)) - len(score)
+
+    def filled(leaf: Array) -> Array:  # on the host: on the device each size compiles
+        rows = np.pad(np.asarray(leaf), [(0, more)] + [(0, 0)] * (leaf.ndim - 1))
+        return jnp.asarray(rows)
+
+    return jax.tree.map(filled, (heatmap, score))
 
 
 def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:

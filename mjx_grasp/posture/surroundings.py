@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.loops import repeated
 from mjx_grasp.geometry.segments import closest_between_segments
 from mjx_grasp.geometry.signed_distance import Shape, distance_and_normal, signed_distance
 from mjx_grasp.geometry.vectors import dot, norm, turned, turned_back, unit
@@ -138,25 +140,53 @@ def nearest_on_segments(
         return distance, dot(normal, along)
 
     zero = jnp.zeros(start.shape[0], start.dtype)
-    t_low, t_high = zero, zero + 1.0
-    (low, falls), (high, rises) = at(t_low), at(t_high)
-    t = jnp.where(low <= high, t_low, t_high)
-    best = jnp.minimum(low, high)
-    side = zero
-    for step in range(_STEPS):
-        # The middle first, for shapes that are not convex.
-        share = falls / jnp.minimum(falls - rises, -_FLAT)
-        between = 0.5 if step == 0 else jnp.clip(share, 0.0, 1.0)
+    (low, high), (falls, rises) = jax.vmap(at)(jnp.stack([zero, zero + 1.0]))
+
+    def step(state: _Bracket) -> _Bracket:
+        t_low, t_high, falls, rises, between, side, t, best = state
         trial = t_low + between * (t_high - t_low)
         distance, slope = at(trial)
-        t, best = jnp.where(distance < best, trial, t), jnp.minimum(distance, best)
         up = slope > 0
         # A side that stays twice counts half.
         rises = jnp.where(up, slope, jnp.where(side < 0, 0.5 * rises, rises))
         falls = jnp.where(up, jnp.where(side > 0, 0.5 * falls, falls), slope)
-        t_low, t_high = jnp.where(up, t_low, trial), jnp.where(up, trial, t_high)
-        side = jnp.where(up, 1.0, -1.0)
-    return t, best, low, high
+        share = falls / jnp.minimum(falls - rises, -_FLAT)
+        return _Bracket(
+            t_low=jnp.where(up, t_low, trial),
+            t_high=jnp.where(up, trial, t_high),
+            falls=falls,
+            rises=rises,
+            between=jnp.clip(share, 0.0, 1.0),
+            side=jnp.where(up, 1.0, -1.0),
+            t=jnp.where(distance < best, trial, t),
+            best=jnp.minimum(distance, best),
+        )
+
+    # The middle first, for shapes that are not convex.
+    nearer = jnp.where(low <= high, zero, 1.0)
+    begin = _Bracket(
+        zero, zero + 1.0, falls, rises, zero + 0.5, zero, nearer, jnp.minimum(low, high)
+    )
+    found = repeated(_STEPS, step, begin)
+    return found.t, found.best, low, high
+
+
+class _Bracket(NamedTuple):
+    """Of false position: between which parameters the slope changes its sign, and the best one."""
+
+    t_low: Float[Array, " n"]
+    t_high: Float[Array, " n"]
+    falls: Float[Array, " n"]
+    """slope at the lower end"""
+    rises: Float[Array, " n"]
+    """and at the upper"""
+    between: Float[Array, " n"]
+    """where the next one is tried, from 0 to 1"""
+    side: Float[Array, " n"]
+    """which end was moved last: 1 the upper one, -1 the lower, 0 none"""
+    t: Float[Array, " n"]
+    best: Float[Array, " n"]
+    """least distance so far [m]"""
 
 
 def _picked(groups: Int[np.ndarray, "g k"], distance: Float[Array, "*b n"]) -> Int[Array, "*b g"]:

@@ -154,6 +154,7 @@ class Planner:
         only_light = jnp.array([one.light for one in tries])
         only_easy = jnp.array([one.easy for one in tries])
 
+        @jax.jit  # traced once: for its shapes and for the loop
         def among(k: Int[Array, ""]) -> Search:
             counts = candidates.valid & (candidates.score >= least[k]) & (easy | ~only_easy[k])
             score = jnp.where(counts, jnp.maximum(candidates.score, enough), 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -80,6 +81,7 @@ class Kinematics:
         moves[:, self.chains.column] = self.chains.moves
         return moves
 
+    @partial(jax.jit, static_argnums=0)
     def motion(self, q: Float[Array, " joints"]) -> Motion:
         """Frames and joint screws from one pass; rows of any point's Jacobian are dot products."""
         chains = self.chains

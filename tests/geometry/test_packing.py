@@ -1,9 +1,9 @@
-"""What is packed on the host comes back on the device."""
+"""What is packed on the host comes back on the device; arrays are filled up to few sizes."""
 
 import jax
 import numpy as np
 
-from mjx_grasp.geometry.packing import Layout, pack, unpack_on_device
+from mjx_grasp.geometry.packing import Layout, filled_size, pack, unpack_on_device
 
 TREE = {
     "points": np.array([[0.1, -2.5, np.inf], [np.nan, -0.0, 3e-40]], np.float32),
@@ -30,3 +30,10 @@ def test_layouts_are_equal_if_their_trees_are_alike():
     assert Layout.of(TREE) == Layout.of(jax.tree.map(np.copy, TREE))
     assert hash(Layout.of(TREE)) == hash(Layout.of(jax.tree.map(np.copy, TREE)))
     assert Layout.of(TREE) != Layout.of({**TREE, "none": np.zeros((1, 3), np.float32)})
+
+
+def test_sizes_are_few_and_fill_up_by_little():
+    sizes = np.unique(np.geomspace(1, 1e6, 5000).astype(int))
+    filled = np.array([filled_size(int(n)) for n in sizes])
+    assert np.all(filled >= sizes) and np.all(np.diff(filled) >= 0)
+    assert np.all(filled - sizes <= np.maximum(512, sizes / 8)) and len(set(filled)) < 120

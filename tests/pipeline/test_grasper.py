@@ -17,18 +17,20 @@ from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp.candidates import cylinder_candidates
+from mjx_grasp.grasp.candidates import cylinder_candidates, first_and_rest
 from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline import assemble
 from mjx_grasp.pipeline.assemble import (
+    CANDIDATES,
     STEERED_AT_LEAST,
     STEERED_SCORE,
     check_graspable,
     grasper_of,
     known_object,
+    known_objects,
     steered_candidates,
     steered_scores,
     whole_grasps,
@@ -253,9 +255,11 @@ def test_a_state_as_a_vector_goes_the_same_way(grasper, tick, begun, home, known
     for what in whats:
         state, done = tick(state, home, what)
         vector, did = flat(vector, home, known, what)
-        jax.tree.map(np.testing.assert_array_equal, did, done)
+        # Compiled apart, each rounds in its own way.
+        same = partial(np.testing.assert_allclose, rtol=1e-6, atol=1e-6)
+        jax.tree.map(same, did, done)
         found = flat.state(vector)
-        jax.tree.map(np.testing.assert_array_equal, found, state)
+        jax.tree.map(same, found, state)
         assert all(
             a.dtype == b.dtype
             for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(state), strict=True)
@@ -596,6 +600,21 @@ def _steered_to_an_end(robot, name, end):
     anchor = np.array([0.0, 0.0, float(end(can.mesh.vertices[:, 2]))])
     known = known_object(can, robot, heatmap, steer_to(heatmap, anchor))
     return grasper_of(robot, reaching=whole_grasps(steered=True)).planner, known, can.mesh.vertices
+
+
+def test_objects_are_known_together_as_one_by_one_and_of_the_best_candidates(robot):
+    objects = load_objects(["rubiks_cube", "tuna_fish_can"])
+    for obj, found in zip(objects, known_objects(objects, robot), strict=True):
+        alone = known_object(obj, robot)
+        jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), found, alone)
+        # The heatmap's own choice, without what sizes are filled up with.
+        heatmap = heatmap_of(obj, robot.hand)
+        chosen = first_and_rest(heatmap, None, CANDIDATES - CANDIDATES // 4, CANDIDATES)
+        ours, plain = alone.candidates, chosen
+        kept = np.asarray(ours.valid)
+        assert kept.sum() == plain.valid.sum() and not np.asarray(ours.score)[~kept].any()
+        np.testing.assert_allclose(ours.thumb[kept], plain.thumb[plain.valid])
+        np.testing.assert_allclose(ours.score[kept], plain.score[plain.valid], atol=1e-6)
 
 
 def test_near_an_anchor_on_the_table_those_are_looked_for_that_can_be_used(robot):

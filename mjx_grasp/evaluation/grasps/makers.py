@@ -15,7 +15,7 @@ from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all, home_ti
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import check_graspable, known_object
+from mjx_grasp.pipeline.assemble import check_graspable, known_objects
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.library import Library
@@ -154,10 +154,10 @@ class Makers:
             InputError: One of them cannot be grasped.
         """
         if scenario.objects not in self._known:
-            found = []
-            for obj in self.objects(scenario):
-                found.append(known_object(obj, self.robot))
-                best = float(found[-1].candidates.score.max())
+            objects = self.objects(scenario)
+            found = known_objects(objects, self.robot)
+            for obj, known in zip(objects, found, strict=True):
+                best = float(known.candidates.score.max())
                 check_graspable(obj.name, best, self.robot.hand)
             self._known[scenario.objects] = found
         return self._known[scenario.objects]

@@ -132,7 +132,6 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "grasps": stage_tables.whole_grasps(scenarios),
             "grasps-all": stage_tables.grasps_by_split(folder / "grasps_all.json"),
-            "grasps-hardest": stage_tables.whole_grasps(folder / "grasps_hardest.json"),
             "scenarios": stage_tables.scenarios(scenarios),
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"

@@ -212,7 +212,7 @@ def _filled(heatmap: Heatmap, score: Float[Array, " v"]) -> tuple[Heatmap, Float
     """Filled up with what is no candidate, so that not every object compiles for itself."""
     more = filled_size(len(score)) - len(score)
 
-    def filled(leaf: Array) -> Array:  # on the host: on the device each size compiles
+    def filled(leaf: Array | np.ndarray) -> Array:  # on the host: on the device each size compiles
         rows = np.pad(np.asarray(leaf), [(0, more)] + [(0, 0)] * (leaf.ndim - 1))
         return jnp.asarray(rows)
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from jaxtyping import Float
@@ -96,7 +95,7 @@ def choice_on_part(
     """
     if not anchor.size.any():
         return None
-    among = steered_candidates(heatmap, jnp.asarray(score))
+    among = steered_candidates(heatmap, score)
     chosen = np.asarray(among.valid & (among.score >= STEERED_SCORE))
     contacts = np.concatenate([among.thumb[chosen, None], among.wrap[chosen]], axis=1)
     outside = np.maximum(np.abs(contacts - anchor.point) - 0.5 * anchor.size, 0.0)

@@ -20,7 +20,7 @@ _LEAST_STEP = 512
 def filled_size(rows: int) -> int:
     """To how many rows arrays are filled up, so that those of similar sizes share a compilation.
 
-    It is a multiple of at least 512, and of an eighth of the size or less.
+    A multiple of 512 or, if that is more, of the largest power of two within an eighth of the size.
     """
     step = max(_LEAST_STEP, 2 ** max(0, rows.bit_length() - 4))
     return -(-rows // step) * step

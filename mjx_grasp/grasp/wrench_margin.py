@@ -181,10 +181,10 @@ def _held_load(
         """Of weight·Σv − Σ log inside − Σ log v − log room."""
         inside, slope, _, room = cones(x)
         over_v = jnp.concatenate([jnp.zeros(5), 1.0 / x[5:]])
-        y = jnp.concatenate([x[:5], jnp.zeros(3)]) * (2.0 / room)
+        bound = jnp.concatenate([x[:5], jnp.zeros(3)]) * (2.0 / room)
         slope = slope * (2.0 / inside)[:, None]
-        g = jnp.where(jnp.arange(8) < 5, 0.0, weight) - jnp.sum(slope, axis=0) - over_v + y
-        h = slope.T @ slope - jnp.einsum("i,iab->ab", 2.0 / inside, curve) + jnp.outer(y, y)
+        g = jnp.where(jnp.arange(8) < 5, 0.0, weight) - jnp.sum(slope, axis=0) - over_v + bound
+        h = slope.T @ slope - jnp.einsum("i,iab->ab", 2.0 / inside, curve) + jnp.outer(bound, bound)
         h = h + jnp.diag(over_v**2 + jnp.where(jnp.arange(8) < 5, 2.0 / room, 0.0))
         unit = jax.lax.rsqrt(jnp.diagonal(h))  # a diagonal of ones is what float32 solves best
         step = unit * solve_spd(h * unit * unit[:, None] + 1e-6 * jnp.eye(8), unit * g)

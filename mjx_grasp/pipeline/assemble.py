@@ -134,7 +134,7 @@ def known_object(
     obj: ObjectModel,
     robot: RobotSpec,
     heatmap: Heatmap | None = None,
-    score: Float[Array, " v"] | None = None,
+    score: Float[Array | np.ndarray, " v"] | None = None,
 ) -> Known:
     """What a grasp has to know of an object; of one size for all objects, so that they stack.
 
@@ -183,24 +183,28 @@ def check_graspable(name: str, best: float, hand: HandSpec) -> None:
 
 
 def steered_candidates(
-    heatmap: Heatmap, score: Float[Array, " v"], count: int = STEERED_CANDIDATES
+    heatmap: Heatmap,
+    score: Float[Array | np.ndarray, " v"],
+    count: int = STEERED_CANDIDATES,
+    at_least: int = STEERED_AT_LEAST[0],
 ) -> Candidates:
     """Those a steered grasp chooses among: the anchor's best, with `steered_scores`.
 
     A quarter are others, of the heatmap itself and with no score at all, for when nothing near the
-    anchor is within reach.
+    anchor is within reach. Not for use under `jit`: arrays are filled up on the host.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
         count: How many.
+        at_least: See `steered_scores`.
     """
-    return _steered(*_filled(heatmap, score), count)
+    return _steered(*_filled(heatmap, score), count, at_least)
 
 
-@partial(jax.jit, static_argnames="count")
-def _steered(heatmap: Heatmap, score: Float[Array, " v"], count: int) -> Candidates:
-    return _chosen(heatmap, steered_scores(heatmap, score), count)
+@partial(jax.jit, static_argnames=("count", "at_least"))
+def _steered(heatmap: Heatmap, score: Float[Array, " v"], count: int, at_least: int) -> Candidates:
+    return _chosen(heatmap, steered_scores(heatmap, score, at_least), count)
 
 
 @partial(jax.jit, static_argnames="count")
@@ -208,7 +212,9 @@ def _chosen(heatmap: Heatmap, score: Float[Array, " v"], count: int) -> Candidat
     return first_and_rest(heatmap, score, count - count // 4, count)
 
 
-def _filled(heatmap: Heatmap, score: Float[Array, " v"]) -> tuple[Heatmap, Float[Array, " w"]]:
+def _filled(
+    heatmap: Heatmap, score: Float[Array | np.ndarray, " v"]
+) -> tuple[Heatmap, Float[Array, " w"]]:
     """Filled up with what is no candidate, so that not every object compiles for itself."""
     more = filled_size(len(score)) - len(score)
 
@@ -219,16 +225,19 @@ def _filled(heatmap: Heatmap, score: Float[Array, " v"]) -> tuple[Heatmap, Float
     return jax.tree.map(filled, (heatmap, score))
 
 
-def steered_scores(heatmap: Heatmap, score: Float[Array, " v"]) -> Float[Array, " v"]:
+def steered_scores(
+    heatmap: Heatmap, score: Float[Array, " v"], at_least: int = STEERED_AT_LEAST[0]
+) -> Float[Array, " v"]:
     """Steered scores on a scale on which those count that reach `STEERED_SCORE`.
 
-    These are all from half of the best one, and no fewer than the `STEERED_AT_LEAST` best at first.
+    These are all from half of the best one, and no fewer than some, if there are as many at all.
 
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
+        at_least: So many.
     """
     ranked = jnp.sort(jnp.where(heatmap.valid, score, 0.0))[::-1]
-    least = ranked[min(STEERED_AT_LEAST[0], len(ranked)) - 1] / STEERED_SCORE
+    least = ranked[jnp.clip(jnp.sum(ranked > 0), 1, at_least) - 1] / STEERED_SCORE
     top = jnp.clip(least, 1e-6 * ranked[0], ranked[0])
     return jnp.minimum(score / jnp.maximum(top, 1e-30), 1.0)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -252,7 +251,7 @@ class LiveViewer:
             self._say("this hand can grasp nothing there" if self._ready else "not ready yet")
             return
         subject = self._subjects[self._name]
-        candidates = steered_candidates(subject.stored.heatmap, jnp.asarray(score))
+        candidates = steered_candidates(subject.stored.heatmap, score)
         self._say("planning")
         self.live.start(subject.known._replace(candidates=candidates))
         self._show_marks(running=True)

@@ -43,7 +43,7 @@ class CloserState(NamedTuple):
     goal_mat: Float[Array, "*b f 3 3"]
     """R*, the pad frames at the contacts"""
     rest: Float[Array, "*b n"]
-    """joints at the start; those that closing does not move stay there [rad]"""
+    """joints at the start; those that neither closing nor an action moves stay there [rad]"""
     hold: Float[Array, "*b f j"]
     """guided finger joint targets [rad]"""
     residual: Float[Array, "*b m"]
@@ -85,7 +85,7 @@ class Closer:
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action: finger residuals, arm residuals, then the grip's force."""
+        """Numbers of an action: fingers, arm, their other joints, then the grip's force."""
         return action_size(self.joints.at, self.config.action)
 
     def start(self, measured: Measured, targets: ThreePoints) -> CloserState:
@@ -202,15 +202,42 @@ class Closer:
         arm_action = action[..., fingers : fingers + len(at.arm_policy)]
         if config.action.arm_settles:
             arm_action = jnp.where(self.lifted(state)[..., None], 0.0, arm_action)
-        arm_rates = arm_rates + config.action.arm_rate * arm_action
+        arm_rates = arm_rates + self.arm_rate(state) * arm_action
         moved = state.arm.at[..., at.arm_policy].add(arm_rates * dt)
+        rest = state.rest
+        if config.action.others:
+            moved, rest = self._others(state, moved, rest, action)
         arm = jnp.clip(moved, *joints.limits[at.arm].T)
 
         guided = hold.reshape(residual.shape)
         target = guided + residual + torque.reshape(residual.shape) / joints.stiffness
-        command = state.rest.at[..., at.arm].set(arm).at[..., at.fingers].set(target)
-        after = state._replace(tick=state.tick + 1, hold=hold, residual=residual, arm=arm)
+        command = rest.at[..., at.arm].set(arm).at[..., at.fingers].set(target)
+        after = state._replace(
+            tick=state.tick + 1, hold=hold, residual=residual, arm=arm, rest=rest
+        )
         return after, command
+
+    def arm_rate(self, state: CloserState) -> Float[Array, "*b 1"] | float:
+        """Speed of the arm's joints at action 1 [rad/s]."""
+        return self.config.action.arm_rate
+
+    def _others(
+        self,
+        state: CloserState,
+        arm: Float[Array, "*b a"],
+        rest: Float[Array, "*b n"],
+        action: Float[Array, "*b k"],
+    ) -> tuple[Float[Array, "*b a"], Float[Array, "*b n"]]:
+        """Targets of arm and hand after the actions of the joints that closing leaves alone."""
+        joints, at, dt = self.joints, self.joints.at, self.config.control_dt
+        first = len(at.fingers) + len(at.arm_policy)
+        own = action[..., first : first + len(at.others)]
+        own = jnp.where(state.lifting[..., None], 0.0, own) * dt
+        of_arm = np.isin(at.others, at.arm)
+        arm = arm.at[..., at.others[of_arm]].add(self.arm_rate(state) * own[..., of_arm])
+        fingers = at.others[~of_arm]
+        moved = rest[..., fingers] + self.config.action.finger_rate * own[..., ~of_arm]
+        return arm, rest.at[..., fingers].set(jnp.clip(moved, *joints.limits[fingers].T))
 
     def there(
         self,

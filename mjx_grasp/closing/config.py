@@ -26,6 +26,9 @@ class ActionConfig(Settings):
     """share of the leaky residual that survives a tick [-]"""
     limit: NonNegative = 0.25
     """bound of the leaky residual [rad]"""
+    others: bool = False
+    """whether joints of arm and fingers that closing leaves alone have actions too, until the lift:
+    the arm's at the arm's rate, the fingers' at theirs"""
     grip_range: Positive = 1.0
     """factor on the grip's force at action 1, its inverse at −1, in one action more, smoothed as
     the leaky residuals are; 1 for no such action [-]"""

@@ -29,7 +29,8 @@ class DrivenJoints(NamedTuple):
 
 def action_size(at: RobotIndices, config: ActionConfig) -> int:
     """With how many numbers a policy of the robot answers."""
-    return len(at.fingers) + len(at.arm_policy) + config.of_grip
+    others = config.others * len(at.others)
+    return len(at.fingers) + len(at.arm_policy) + others + config.of_grip
 
 
 def driven_joints(robot: RobotSpec) -> DrivenJoints:

@@ -34,6 +34,8 @@ class ObservationConfig(Settings):
     """whether the surface's normals there do, in the same frame"""
     arm: bool = False
     """whether the positions of the arm's joints do"""
+    others: bool = False
+    """whether those of the joints do that closing leaves alone"""
     truth: bool = False
     """whether all that a critic may read does, contact forces, the object's pose and friction
     among it: no robot knows them; with it training tells what more sensing could bring at most"""
@@ -84,6 +86,8 @@ def observed_step(
         parts.append(in_palm_axes(measured, targets.normal))
     if config.arm:
         parts.append(measured.q[..., closer.joints.at.arm])
+    if config.others:
+        parts.append(measured.q[..., closer.joints.at.others])
     return jnp.concatenate(parts, axis=-1)
 
 

@@ -28,7 +28,7 @@ class Ticked(NamedTuple):
 
     reward: Float[Array, " w"]
     terminated: Bool[Array, " w"]
-    """whether a world stopped being finite; there is no other end but that of time"""
+    """whether a world stopped being finite, or its episode has failed already"""
     truncated: Bool[Array, " w"]
     """whether the time is up"""
 
@@ -61,8 +61,9 @@ class Worlds:
             for name, seen in tick.obs.items()
         }
         reward = sum(tick.rewards.values(), start=jnp.zeros(len(age)))
-        truncated = (age >= self.task.episode_ticks) & ~tick.broken
-        return WorldsState(state, obs, worlds.keys, age), Ticked(reward, tick.broken, truncated)
+        ended = tick.broken | tick.over
+        truncated = (age >= self.task.episode_ticks) & ~ended
+        return WorldsState(state, obs, worlds.keys, age), Ticked(reward, ended, truncated)
 
     def _renew(self, worlds: WorldsState, mask: Bool[Array, " w"]) -> WorldsState:
         """Begins new episodes in the masked worlds."""

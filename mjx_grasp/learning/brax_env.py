@@ -96,7 +96,8 @@ class BraxTask(Env):
         reward = sum(tick.rewards.values(), start=jnp.zeros(self.worlds))
         age, total = info["age"] + 1, info["total_reward"] + reward
         truncated = age >= info["deadline"]
-        done = truncated | tick.broken
+        ended = tick.broken | tick.over
+        done = truncated | ended
         # A staggered first episode is shorter than the task and says nothing about success.
         whole = done & (info["deadline"] == task.episode_ticks)
         summary = task.summary(after)
@@ -112,7 +113,7 @@ class BraxTask(Env):
             "age": jnp.where(done, 0, age),
             "deadline": jnp.where(done, task.episode_ticks, info["deadline"]),
             "total_reward": jnp.where(done, 0.0, total),
-            "truncation": (truncated & ~tick.broken).astype(jnp.float32),
+            "truncation": (truncated & ~ended).astype(jnp.float32),
             "episode_done": whole.astype(jnp.float32),
             "episode_success": (whole & summary.success).astype(jnp.float32),
             "episode_reward": jnp.where(whole, total, 0.0),

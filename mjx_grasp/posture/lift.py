@@ -25,6 +25,8 @@ class Lift(NamedTuple):
     """of the palm's origin, along the world's z [m]"""
     error: Float[Array, ""]
     """from where the palm's origin should be to where it is [m]"""
+    q: Float[Array, " joints"]
+    """configuration at the end [rad]"""
 
 
 @full_precision
@@ -58,4 +60,4 @@ def scripted_lift(body: Body, q: Float[Array | np.ndarray, " joints"], height: f
 
     last, palms = jax.lax.scan(step, jnp.asarray(q), length=_STEPS)
     moved = body.palm.forward(last)[0][0] - palms[0]
-    return Lift(moved[2], norm(moved - jnp.asarray([0.0, 0.0, height])))
+    return Lift(moved[2], norm(moved - jnp.asarray([0.0, 0.0, height])), last)

@@ -56,6 +56,14 @@ class RobotIndices:
         return _stacked("hand.fingers.policy_joints", self.finger_policy)
 
     @property
+    def others(self) -> Int[np.ndarray, " o"]:
+        """Joints of the arm and of the three fingers that the policy does not move, in order."""
+        return np.setdiff1d(
+            np.concatenate([self.arm, self.grasping]),
+            np.concatenate([self.arm_policy, self.fingers]),
+        )
+
+    @property
     def chains(self) -> Int[np.ndarray, "f c"]:
         """All joints that move each pad: the arm's, then the finger's.
 

@@ -178,15 +178,26 @@ class ClosingTask:
         measured = as_sensed(measured, robot, closer.tick, joints, errors)
         finite = jnp.isfinite(measured.q).all(-1) & jnp.isfinite(truth.object_pos).all(-1)
 
+        row = state.episode.row
         before = _distance(state.measured, targets)
-        targets = self._targets(state.episode.row, truth)
+        targets = self._targets(row, truth)
         nearer = before - _distance(measured, targets)
+        homing = self._homing(state.measured, measured, row)
         sensed = self.closer.sense(closer, measured, targets, truth.tip_found)
         followed = state.episode._replace(sent=sent)
         episode, slip = self._followed(followed, closer, sensed, measured, truth, targets, action)
         lift_force = _lift_force(episode, sensed)
         moment = self._moment(
-            closer, measured, truth, targets, slip, nearer, lift_force, action, state.episode
+            closer,
+            measured,
+            truth,
+            targets,
+            slip,
+            nearer,
+            homing,
+            lift_force,
+            action,
+            state.episode,
         )
         rewards = {
             term.name: jnp.where(finite, term.weight * term.value(moment), 0.0)
@@ -194,7 +205,8 @@ class ClosingTask:
         }
         after = (measured, truth, sensed, episode, state.beside)
         state = ClosingState(physics, state.params, *after)
-        return state, TaskTick(self._observe(state), rewards, ~finite, truth.overflow)
+        told = ~finite, truth.overflow, self._over(state)
+        return state, TaskTick(self._observe(state), rewards, *told)
 
     def summary(self, state: ClosingState) -> EpisodeSummary:
         """See `Task.summary`."""
@@ -242,6 +254,16 @@ class ClosingTask:
         """What the state holds beside at first."""
         return ()
 
+    def _over(self, state: ClosingState) -> Bool[Array, " w"]:
+        """Which episodes have failed before their time."""
+        return jnp.zeros(len(state.episode.row), bool)
+
+    def _homing(
+        self, before: Measured, after: Measured, row: Int[Array, " w"]
+    ) -> Float[Array, " w"]:
+        """By how much the joints have come nearer to the start state's [rad]."""
+        return jnp.zeros(len(row))
+
     def _targets(self, row: Int[Array, " w"], truth: Truth) -> ThreePoints:
         """The contacts to close on: those of the handoff, wherever the object is now."""
         return jax.tree.map(lambda rows: rows[row], self.starts.targets)
@@ -254,6 +276,7 @@ class ClosingTask:
         targets: ThreePoints,
         slip: Float[Array, " w"],
         nearer: Float[Array, " w"],
+        homing: Float[Array, " w"],
         lift_force: Float[Array, " w"],
         action: Float[Array, "w k"],
         before: Episode,
@@ -271,6 +294,7 @@ class ClosingTask:
             lift_speed=self.closer.lift_speed(closer),
             slip=slip,
             nearer=nearer,
+            homing=homing,
             lift_force=lift_force,
             budget=before.budget,
             action=action,

@@ -14,6 +14,7 @@ from mjx_grasp.records.settings import (
     Finite,
     NonNegative,
     Positive,
+    PositiveOrNever,
     Range,
     Settings,
     Share,
@@ -71,6 +72,12 @@ class RewardConfig(Settings):
     way_left: Finite = 0.0
     """times how much nearer to their contacts the pads have come in the tick, mean; of an episode
     it is paid for the way alone, however long that takes [1/m]"""
+    posture: Finite = 0.0
+    """end to end: times how much nearer to the posture at the handoff arm and fingers have come in
+    the tick, along the way from home and until the lift; straight at their contacts pads would go
+    through the object [1/rad]"""
+    posture_near: NonNegative = 0.7
+    """distance from that posture, over all these joints, from which it is near enough [rad]"""
 
 
 @dataclass(frozen=True)
@@ -122,9 +129,20 @@ class EndToEndConfig(ClosingTaskConfig):
     observation: ObservationConfig = field(default_factory=lambda: ObservationConfig(targets=True))
     assisted: bool = False
     """whether guidance and grip move the fingers before the lift too, with the actions added"""
+    within: PositiveOrNever = math.inf
+    """mean distance of the pads from their contacts within which guidance does, each then straight
+    at its own; inf: anywhere, along the lines on which the episode began [m]"""
+    reach_rate: NonNegative | None = None
+    """arm joint velocity at action 1 before the lift; None: as in the lift [rad/s]"""
+    given_up: PositiveOrNever = math.inf
+    """how far the object may be moved before the lift until an episode of a training ends; one
+    that slips in the lift ends it too. inf: all go on to the end of their time [m]"""
     postures: Annotated[int, Range(2, 1000)] = 17
-    """in which an episode may begin, evenly on the straight line in joint space from each handoff
-    to home, both included [-]"""
+    """in which an episode may begin, evenly on the line in joint space from each handoff to home,
+    both included [-]"""
+    raised: NonNegative = 0.0
+    """by how much the palm goes straight up first on this line, two fifths of the postures; 0: the
+    line is straight and leads through objects and table [m]"""
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
 
     def __post_init__(self) -> None:

@@ -26,6 +26,8 @@ class CurriculumConfig(Settings):
     evenly with the iterations; measured: up to one that rises where enough episodes succeed"""
     start: Share = 0.1
     """the share at first [-]"""
+    frontier: Share = 0.0
+    """share of the episodes that begin just there; the others anywhere up to it, evenly [-]"""
     until: Share = 0.5
     """how much of the training is done when it is the whole way, whatever the success [-]"""
     step: Annotated[float, Range(0, 1, above=True)] = 0.1

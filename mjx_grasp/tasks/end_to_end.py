@@ -7,21 +7,27 @@ contacts go with the object, and before the lift the policy moves the fingers al
 
 from __future__ import annotations
 
+import math
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.end_to_end import EndToEndCloser
 from mjx_grasp.closing.joints import driven_joints
 from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.physics import Physics, Truth
 from mjx_grasp.tasks.closing import ClosingState, ClosingTask, Standing
 from mjx_grasp.tasks.config import EndToEndConfig, StartNoise
 from mjx_grasp.tasks.curriculum import Learnt, Pace, first_pace, next_pace
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.tasks.starts import StartDraw, StartTable
+from mjx_grasp.tasks.success import in_palm
 from mjx_grasp.tasks.task import Observations
 from mjx_grasp.tasks.way_home import WayHome, build_way_home
 
@@ -57,7 +63,7 @@ class EndToEndTask(ClosingTask):
         extra_terms: tuple[RewardTerm, ...] = (),
     ):
         config = config or EndToEndConfig()
-        self.way: WayHome = build_way_home(physics.scene, starts, config.postures)
+        self.way: WayHome = build_way_home(physics.scene, starts, config.postures, config.raised)
         self._in_object = in_object(starts.targets, starts.truth)
         super().__init__(physics, starts, config, noise, with_privileged, extra_terms)
 
@@ -69,14 +75,14 @@ class EndToEndTask(ClosingTask):
     def start(self, draw: StartDraw) -> tuple[ClosingState, Observations]:
         """See `Task.start`."""
         level = first_pace(len(draw.row), self.config.curriculum).level
-        return super().start(_placed(draw, level))
+        return super().start(self._placed(draw, level))
 
     def reset(
         self, state: ClosingState, mask: Bool[Array, " w"], draw: StartDraw
     ) -> tuple[ClosingState, Observations]:
         """See `Task.reset`."""
         pace: Pace = state.beside
-        return super().reset(state, mask, _placed(draw, pace.level))
+        return super().reset(state, mask, self._placed(draw, pace.level))
 
     def paced(
         self, state: ClosingState, learnt: Learnt
@@ -86,8 +92,38 @@ class EndToEndTask(ClosingTask):
         return state._replace(beside=pace), {"reach_level": pace.level[0]}
 
     def _controller(self) -> Closer:
-        joints = driven_joints(self.physics.scene.robot)
-        return EndToEndCloser(self.config.controller, joints, self.config.assisted)
+        config, joints = self.config, driven_joints(self.physics.scene.robot)
+        own = config.assisted, config.within, config.reach_rate
+        return EndToEndCloser(config.controller, joints, *own)
+
+    def _placed(self, draw: StartDraw, level: Float[Array, " w"]) -> StartDraw:
+        """The draw with its share of the whole way: within the level, at its end, or home."""
+        if draw.way is None:
+            return draw._replace(way=jnp.ones(len(draw.row)))
+        frontier = self.config.curriculum.frontier
+        within = (draw.way - frontier) / max(1.0 - frontier, 1e-6)
+        return draw._replace(way=jnp.where(draw.way < frontier, 1.0, within) * level)
+
+    def _homing(
+        self, before: Measured, after: Measured, row: Int[Array, " w"]
+    ) -> Float[Array, " w"]:
+        """By how much arm and fingers have come nearer along the way from home [rad]."""
+        if not self.config.reward.posture:
+            return super()._homing(before, after, row)
+        at, near = self.closer.joints.at, self.config.reward.posture_near
+        moving = np.concatenate([at.arm, at.grasping])
+        left = (jnp.maximum(self.way.left(m.q, row, moving), near) for m in (before, after))
+        return next(left) - next(left)
+
+    def _over(self, state: ClosingState) -> Bool[Array, " w"]:
+        """Where the object was pushed away before the lift, or slips in it."""
+        if math.isinf(self.config.given_up):
+            return super()._over(state)
+        episode, truth = state.episode, state.truth
+        pushed = norm(truth.object_pos - self.starts.truth.object_pos[episode.row])
+        slip = norm(in_palm(state.measured, truth) - episode.object_in_palm)
+        slipped = slip > self.config.success.slip
+        return jnp.where(state.closer.lifting, slipped, pushed > self.config.given_up)
 
     def _table(self) -> Standing:
         postures = self.config.postures
@@ -120,9 +156,3 @@ def carried(local: ThreePoints, truth: Truth) -> ThreePoints:
     turn = truth.object_quat[..., None, :]
     position = so3.quat_rotate(turn, local.position) + truth.object_pos[..., None, :]
     return ThreePoints(position, so3.quat_rotate(turn, local.normal))
-
-
-def _placed(draw: StartDraw, level: Float[Array, " w"]) -> StartDraw:
-    """The draw with its share of the whole way: within the level, or home."""
-    way = jnp.ones(len(draw.row)) if draw.way is None else draw.way * level
-    return draw._replace(way=way)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from mjx_grasp.closing.learned import FORCE_UNIT
 from mjx_grasp.records.settings import NonNegative, Settings, WholeNumber
+from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.config import ClosingTaskConfig
 
@@ -60,6 +61,9 @@ def observation_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Seg
         step.append(("target_normal", along, "-", 1.0))
     if seen.arm:
         step.append(("arm_position", robot.arm.joints, "rad", 1.0))
+    if seen.others:
+        arms, hands = _others(robot)
+        step.append(("other_position", (*arms, *hands), "rad", 1.0))
     parts: list[_Part] = [(*part, ago) for ago in reversed(seen.ticks_ago) for part in step]
     if seen.budget:
         parts.append(("force_budget", ("grip",), "N", FORCE_UNIT, None))
@@ -73,10 +77,21 @@ def action_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Segment,
         ("finger_residual", robot.hand.policy_joints, "rad/s", action.finger_rate, None),
         ("arm_residual", robot.arm.policy_joints, "rad/s", action.arm_rate, None),
     ]
+    if action.others:
+        arms, hands = _others(robot)
+        parts.append(("other_arm_joint", arms, "rad/s", action.arm_rate, None))
+        parts.append(("other_finger_joint", hands, "rad/s", action.finger_rate, None))
     if action.of_grip:
         factor = "factor, its inverse at -1"
         parts.append(("grip_force", ("grip",), factor, action.grip_range, None))
     return _side_by_side(parts)
+
+
+def _others(robot: RobotSpec) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Joints that closing leaves alone, of the arm and of the fingers."""
+    names = [robot.joints[i] for i in robot_indices(robot).others]
+    of_arm = robot.arm.joints
+    return tuple(n for n in names if n in of_arm), tuple(n for n in names if n not in of_arm)
 
 
 _Part = tuple[str, tuple[str, ...], str, float, int | None]

@@ -19,9 +19,11 @@ def policy_sizes(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[int, int]
     joints, fingers, arm = (
         len(part) for part in (robot.hand.policy_joints, robot.hand.fingers, robot.arm.joints)
     )
-    actions, seen = action_size(robot_indices(robot), config.action), config.observation
+    at, seen = robot_indices(robot), config.observation
+    actions = action_size(at, config.action)
     step = 2 * joints + actions + seen.forces * (2 * fingers + 1)
     step += (seen.targets + seen.normals) * 3 * fingers + seen.arm * arm
+    step += seen.others * len(at.others)
     known = _SCALARS + 2 * seen.forces + 3 * (2 + 4 * fingers) + 7 + 2 * fingers
     return len(seen.ticks_ago) * step + seen.budget + seen.truth * known, actions
 

@@ -39,6 +39,8 @@ class Moment(NamedTuple):
     """palm-frame displacement of the object since lift onset [m]"""
     nearer: Float[Array, "*b"]
     """by how much the pads have come nearer to their contacts in the tick, mean [m]"""
+    homing: Float[Array, "*b"]
+    """by how much the joints have come nearer to the start state's posture [rad]"""
     lift_force: Float[Array, "*b"]
     """mean force per finger since lift onset, 0 before [N]"""
     budget: Float[Array, "*b"]
@@ -68,6 +70,7 @@ def closing_terms(config: RewardConfig) -> tuple[RewardTerm, ...]:
     )
     optional = (
         RewardTerm("way_left", config.way_left, lambda m: m.nearer),
+        RewardTerm("posture", config.posture, lambda m: jnp.where(m.lifting, 0.0, m.homing)),
         RewardTerm("held", config.held, lambda m: held(m, config)),
         RewardTerm("force", config.force, lambda m: jnp.where(m.lifting, mean_force(m), 0.0)),
         RewardTerm("over_budget", config.over_budget, over_budget),

@@ -27,6 +27,8 @@ class TaskTick(NamedTuple):
     """whether the world stopped being finite and has to be reset"""
     overflow: Bool[Array, " w"]
     """whether a contact or constraint buffer of the engine was full"""
+    over: Bool[Array, " w"]
+    """whether the episode has failed already, so that a training need not wait for its end"""
 
 
 class EpisodeSummary(NamedTuple):

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.posture.body import robot_body
+from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.native import at_rest
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.starts import StartTable
 
+RAISING = 0.4
+"""Share of a way with a corner that leads up to it."""
+ASTRAY = 2.0
+"""How much longer a way is for what a posture lies beside it: so that no short cut pays."""
+
 
 class WayHome(NamedTuple):
-    """Postures on straight lines in joint space, evenly: row `k · n + i` is the i-th of start k."""
+    """Postures on lines in joint space, evenly: row `k · n + i` is the i-th of start k.
+
+    A line is straight, or has a corner where the palm is straight above the handoff.
+    """
 
     qpos: Float[Array, "kn nq"]
     ctrl: Float[Array, "kn nu"]
@@ -26,6 +38,8 @@ class WayHome(NamedTuple):
     """of each posture the one that is taken: itself, or the nearest that touches nothing"""
     blocked: int
     """postures that touch something they must not, of all k · n"""
+    corner: Float[Array, "k joints"] | None
+    """where the lines have one [rad]"""
 
     def row(self, start: Int[Array, " w"], way: Float[Array, " w"]) -> Int[Array, " w"]:
         """The posture nearest to a share of the way from a start's handoff (0) to home (1)."""
@@ -33,8 +47,43 @@ class WayHome(NamedTuple):
         i = jnp.round(way * (postures - 1)).astype(jnp.int32).clip(0, postures - 1)
         return start * postures + self.nearest[start, i]
 
+    def left(
+        self, q: Float[Array, "w joints"], start: Int[Array, " w"], moving: Int[np.ndarray, " m"]
+    ) -> Float[Array, " w"]:
+        """How long the way back to a start's handoff is from a configuration, over some joints.
 
-def build_way_home(scene: Scene, starts: StartTable, postures: int) -> WayHome:
+        It goes along the line from the nearest point of it, which may be reached in a straight way.
+
+        Args:
+            q: Configurations [rad].
+            start: Whose handoff.
+            moving: Joints that count.
+        """
+        postures, goal = self.nearest.shape[1], start * self.nearest.shape[1]
+        ends = [self.measured.q[goal], self.measured.q[goal + postures - 1]]
+        if self.corner is not None:
+            ends.insert(1, self.corner[start])
+        ends = [end[:, moving] for end in ends]
+        left, before = [], jnp.zeros(len(q))
+        for near, far in pairwise(ends):
+            away, length = _beside(q[:, moving], near, far)
+            left.append(ASTRAY * away + before + length)
+            before = before + jnp.linalg.norm(far - near, axis=-1)
+        return jnp.min(jnp.stack(left), axis=0)
+
+
+def _beside(
+    q: Float[Array, "w m"], near: Float[Array, "w m"], far: Float[Array, "w m"]
+) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
+    """How far a point is from a line between two others, and how far its foot from the nearer."""
+    line = far - near
+    square = jnp.maximum(jnp.sum(line**2, axis=-1), 1e-9)
+    share = jnp.clip(jnp.sum((q - near) * line, axis=-1) / square, 0.0, 1.0)
+    foot = share[:, None] * line
+    return jnp.linalg.norm(q - near - foot, axis=-1), share * jnp.sqrt(square)
+
+
+def build_way_home(scene: Scene, starts: StartTable, postures: int, raised: float = 0.0) -> WayHome:
     """Tabulates the postures, and which of them touch object, table or the robot itself.
 
     The handoff itself counts as free: the closing task begins there.
@@ -43,11 +92,19 @@ def build_way_home(scene: Scene, starts: StartTable, postures: int) -> WayHome:
         scene: The scene of the starts.
         starts: The handoffs.
         postures: How many there are of each, handoff and home included.
+        raised: By how much the palm goes straight up first [m]; 0: straight home.
     """
     at, handoff = scene.addresses, np.asarray(starts.qpos, float)
-    share = np.linspace(0.0, 1.0, postures)[:, None]
-    home = np.array(scene.robot.home)
-    q = (1.0 - share) * handoff[:, None, at.robot_qpos] + share * home
+    share = np.linspace(0.0, 1.0, postures)
+    home, begin = np.array(scene.robot.home), handoff[:, at.robot_qpos]
+    corner = _raised(scene, begin, raised) if raised else None
+    if corner is None:
+        q = _between(begin, home, share)
+    else:
+        first, then = share / RAISING, (share - RAISING) / (1.0 - RAISING)
+        q = np.where(
+            first[:, None] < 1.0, _between(begin, corner, first), _between(corner, home, then)
+        )
     qpos = np.repeat(handoff[:, None], postures, axis=1)
     qpos[:, :, at.robot_qpos] = q
     ctrl = np.repeat(np.asarray(starts.ctrl, float)[:, None], postures, axis=1)
@@ -61,7 +118,26 @@ def build_way_home(scene: Scene, starts: StartTable, postures: int) -> WayHome:
         measured=measured,
         nearest=jnp.asarray(nearest_free(free), jnp.int32),
         blocked=int((~free).sum()),
+        corner=None if corner is None else jnp.asarray(corner, jnp.float32),
     )
+
+
+def _between(
+    near: Float[np.ndarray, "k joints"],
+    far: Float[np.ndarray, "*k joints"],
+    share: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "k n joints"]:
+    """On the straight lines from the first to the second."""
+    return near[:, None] + share[:, None] * (far - near)[:, None]
+
+
+def _raised(
+    scene: Scene, q: Float[np.ndarray, "k joints"], height: float
+) -> Float[np.ndarray, "k joints"]:
+    """Where a lift straight up brings the robot."""
+    body = robot_body(scene.robot)
+    up = jax.jit(jax.vmap(lambda one: scripted_lift(body, one, height).q))
+    return np.asarray(up(jnp.asarray(q, jnp.float32)), float)
 
 
 def nearest_free(free: Bool[np.ndarray, "k n"]) -> Int[np.ndarray, "k n"]:

@@ -52,7 +52,7 @@ class Homing:
         state = state._replace(place=state.place + 0.1 * action)
         rewards = {"near": -jnp.abs(state.place), "effort": -0.01 * action**2}
         no = jnp.zeros(state.row.shape, bool)
-        return state, TaskTick(self._obs(state), rewards, no, no)
+        return state, TaskTick(self._obs(state), rewards, no, no, no)
 
     def summary(self, state):
         there, zero = jnp.abs(state.place) < 0.05, jnp.zeros(state.place.shape)

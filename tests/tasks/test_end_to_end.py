@@ -43,7 +43,7 @@ def way(scene, starts):
 @pytest.fixture(autouse=True)
 def _one_table(monkeypatch, way):
     """That of the module, made once."""
-    monkeypatch.setattr("mjx_grasp.tasks.end_to_end.build_way_home", lambda *_: way)
+    monkeypatch.setattr("mjx_grasp.tasks.end_to_end.build_way_home", lambda *_, **__: way)
 
 
 def make(scene, starts, script, config=CONFIG, **settings):

@@ -46,6 +46,7 @@ def moment(lifting=False, in_time=True, **changes):
         lift_speed=0.0,
         slip=0.0,
         nearer=0.0,
+        homing=0.0,
         lift_force=0.0,
         budget=3.0,
         **{name: np.zeros(15) for name in ("action", "last_action", "before_last")},

@@ -49,8 +49,14 @@ def run_rows(path: Path) -> list[dict[str, Any]]:
 
 def _with_task(row: dict[str, Any]) -> dict[str, Any]:
     """A row that says what was learnt; without a word of it, its preset does."""
-    task = "end_to_end" if row.get("preset") == "end-to-end" else "closing"
-    return {"task": task, "curriculum": None, "assisted": None} | row
+    if row.get("preset") != "end-to-end":
+        return _BY_PARTS | row
+    return _BY_PARTS | {"task": "end_to_end"} | _FIRST | row
+
+
+_BY_PARTS = {"task": "closing", "curriculum": None, "assisted": None}
+_FIRST = {"reach_rate": 0.5, "all_joints": False, "raised": 0.0}
+"""What end-to-end trainings had before these were settings."""
 
 
 def run_row(folder: Path) -> dict[str, Any]:
@@ -102,11 +108,18 @@ def run_row(folder: Path) -> dict[str, Any]:
 
 
 def _task(config: ClosingTaskConfig) -> dict[str, Any]:
-    """What was learnt; the curriculum and whether guidance and grip helped, where there is one."""
+    """What was learnt, and by which means where one policy does all."""
     if not isinstance(config, EndToEndConfig):
-        return {"task": "closing", "curriculum": None, "assisted": None}
-    kind = config.curriculum.kind
-    return {"task": "end_to_end", "curriculum": kind, "assisted": config.assisted}
+        return dict(_BY_PARTS)
+    arm = config.action.arm_rate if config.reach_rate is None else config.reach_rate
+    return {
+        "task": "end_to_end",
+        "curriculum": config.curriculum.kind,
+        "assisted": config.assisted,
+        "reach_rate": arm,
+        "all_joints": config.action.others,
+        "raised": config.raised,
+    }
 
 
 def _check_same(row: dict[str, Any], known: dict[str, Any]) -> None:

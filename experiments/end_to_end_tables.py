@@ -57,11 +57,20 @@ def trainings(folder: Path) -> str:
     judged = from_home(folder)
     lines = tuple(_training(row, judged.get(row["run"])) for row in rows)
     header = (
-        *("run", "curriculum", "assisted", "objects", "worlds × unroll", "device"),
-        *("seed", "M steps", "s", "steps/s", "return", "success in training %"),
+        *("run", "curriculum", "assisted", "arm rad/s", "joints", "way", "objects"),
+        *(
+            "worlds × unroll",
+            "device",
+            "seed",
+            "M steps",
+            "s",
+            "steps/s",
+            "return",
+            "success in training %",
+        ),
         *("from home, native %", "git"),
     )
-    return markdown(Table("End-to-end trainings", header, lines, names=6))
+    return markdown(Table("End-to-end trainings", header, lines, names=9))
 
 
 def _training(row: dict[str, Any], judged: Column | None) -> tuple[str, ...]:
@@ -69,6 +78,9 @@ def _training(row: dict[str, Any], judged: Column | None) -> tuple[str, ...]:
         row["run"],
         row["curriculum"] or "",
         "yes" if row["assisted"] else "no",
+        f"{row['reach_rate']:g}",
+        "all" if row["all_joints"] else "closing's",
+        "over the object" if row["raised"] else "straight",
         " ".join(row["objects"]),
         f"{row['worlds']:,} × {row['unroll']}",
         str(row["provenance"]["device"]),

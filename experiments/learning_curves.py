@@ -41,6 +41,7 @@ _COLOURS = {
     "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00"),
 }
 _APART = 7.0  # of two words, at least [% of success]
+_MILLIONS = (1, 3, 10, 30, 100, 300, 1000)
 _MINUTES = (1, 2, 5, 10, 20, 60, 180, 600)
 
 
@@ -109,7 +110,10 @@ def _words(config: TrainConfig) -> str:
     if isinstance(task, EndToEndConfig):
         way, preset = "end to end", "end-to-end"
     how = ", as published" if task == settings_of(preset).task else ""
-    how += ", assisted" if getattr(task, "assisted", False) else ""
+    if isinstance(task, EndToEndConfig) and not how:
+        how += ", assisted" if task.assisted else ""
+        how += "" if task.raised else ", straight way"
+        how += "" if task.action.others else ", closing's joints"
     return f"{way}{how}, {number} object{'s' * (number != 1)}"
 
 
@@ -154,10 +158,12 @@ def draw(runs: dict[str, dict[str, Any]]) -> bytes:
         style(ax)
         ax.set_xlabel(label, fontsize=9, color=GREY)
         ax.set_ylim(0, 100)
-    over_steps.set_xlim(0, None)
+    over_steps.set_xscale("log")
+    over_steps.set_xticks(_MILLIONS, map(str, _MILLIONS))
+    over_steps.xaxis.set_minor_locator(NullLocator())
     over_steps.text(
-        0.98, 0.57, "dashed: end-to-end episodes begin\non a part of the way only",
-        transform=over_steps.transAxes, ha="right", fontsize=8, color=GREY,
+        0.02, 0.93, "dashed: end-to-end episodes begin\non a part of the way only",
+        transform=over_steps.transAxes, va="top", fontsize=8, color=GREY,
     )  # fmt: skip
     over_steps.set_ylabel("success of the training's episodes [%]", fontsize=9, color=GREY)
     over_time.set_xscale("log")

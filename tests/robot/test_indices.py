@@ -28,6 +28,14 @@ def test_without_idle_fingers_names_stay(robot):
     assert names(fewer, robot_indices(fewer).fingers) == robot.hand.policy_joints
 
 
+def test_what_the_policy_leaves_alone_are_the_others_of_arm_and_fingers(robot):
+    indices = robot_indices(robot)
+    moved = {*names(robot, indices.arm_policy), *names(robot, indices.fingers)}
+    both = (*robot.arm.joints, *(j for f in robot.hand.fingers for j in f.joints))
+    expected = [joint for joint in robot.joints if joint in both and joint not in moved]
+    assert list(names(robot, indices.others)) == expected and expected
+
+
 def test_masks(robot):
     indices = robot_indices(robot)
     mask = indices.mask(indices.arm)

@@ -38,7 +38,7 @@ POINTS = 60
 _EPISODES = 100  # of a point, at least
 _COLOURS = {
     "closing": (COLOURS[0], "#3f8fd2", "#12365c"),
-    "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00"),
+    "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c"),
 }
 _APART = 7.0  # of two words, at least [% of success]
 _MILLIONS = (1, 3, 10, 30, 100, 300, 1000)
@@ -162,8 +162,8 @@ def draw(runs: dict[str, dict[str, Any]]) -> bytes:
     over_steps.set_xticks(_MILLIONS, map(str, _MILLIONS))
     over_steps.xaxis.set_minor_locator(NullLocator())
     over_steps.text(
-        0.02, 0.93, "dashed: end-to-end episodes begin\non a part of the way only",
-        transform=over_steps.transAxes, va="top", fontsize=8, color=GREY,
+        0.0, 1.02, "dashed: end-to-end episodes begin on a part of the way only",
+        transform=over_steps.transAxes, va="bottom", fontsize=8, color=GREY,
     )  # fmt: skip
     over_steps.set_ylabel("success of the training's episodes [%]", fontsize=9, color=GREY)
     over_time.set_xscale("log")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from collect_runs import run_rows
 from policy_tables import named_run
 from stage_tables import NOTHING, markdown, read, short_revision
@@ -57,7 +58,7 @@ def trainings(folder: Path) -> str:
     judged = from_home(folder)
     lines = tuple(_training(row, judged.get(row["run"])) for row in rows)
     header = (
-        *("run", "curriculum", "assisted", "arm rad/s", "joints", "way", "objects"),
+        *("run", "curriculum", "assisted", "arm before the lift rad/s", "joints", "way", "objects"),
         *(
             "worlds × unroll",
             "device",
@@ -140,12 +141,14 @@ def _failures(run: str, column: Column) -> str:
     trials, lifted = sum(r.episodes for r in rows), sum(r.successes for r in rows)
     never = sum(r.never_lifted for r in rows)
     forces = [force for r in rows for force in r.forces_n if force is not None]
+    means = [r.force_mean_n for r in rows if r.force_mean_n is not None]
     light = sum(force < _LIGHT_N for force in forces)
     text = f"`{run}`: {lifted} of {trials} trials succeed, {never} never lift the object"
     if any(r.forces_n for r in rows):
         text += (
-            f". The lift begins in {len(forces)}, and in {light} of these the fingers press with "
-            f"less than {_LIGHT_N:g} N on average"
+            f". The lift begins in {len(forces)}, with {np.mean(means):.1f} N a finger in the mean "
+            f"over the objects, and in {light} of these the fingers press with less than "
+            f"{_LIGHT_N:g} N on average"
         )
     return f"{text}."
 

@@ -60,7 +60,7 @@ OURS = (
     "--task.grip.arrival 0.005 --task.grip.approach-s None --task.grip.freezes "
     "--task.grip.together --task.lift.delay-s 0.5"
 )
-"""end to end with our critic, grip, rewards and way home, and an arm as fast as in reaching"""
+"""end to end with our critic, grip, rewards and way home, all joints and a faster arm"""
 HELPED = "--task.assisted --task.within 0.04"
 """guidance moves the fingers too, once they are near"""
 END_TO_END_RUNS = {

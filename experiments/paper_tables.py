@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from collect_runs import run_rows
-from end_to_end_tables import bar_is_met, from_home
+from end_to_end_tables import bar_is_met, best, from_home
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.evaluation import paper
@@ -311,13 +311,13 @@ def _as_published(folder: Path) -> Claim | None:
     trained = {row["run"]: row["training_success_percent"] for row in run_rows(table)}
     chosen = max(rows, key=lambda run: trained[run])
     lifted = {run: _mean(of) for run, of in rows.items()}
-    best = max(rows, key=lambda run: lifted[run])
-    force = float(np.mean([row.force_mean_n for row in rows[best]]))
+    most = max(rows, key=lambda run: lifted[run])
+    force = float(np.mean([row.force_mean_n for row in rows[most]]))
     return Claim(
         "of several trainings as published the best in training lifts the eight",
         f"{paper.MEAN[0]:.1f} %, of eighteen",
         f"{lifted[chosen]:.1f} % (`{chosen}`), of {len(rows)}, which lift "
-        f"{min(lifted.values()):.1f} to {lifted[best]:.1f} %, the most of them at {force:.1f} N",
+        f"{min(lifted.values()):.1f} to {lifted[most]:.1f} %, the most of them at {force:.1f} N",
         lifted[chosen] >= paper.MEAN[0],
         "seeds end far apart, and success in training does not tell which is the best",
     )
@@ -327,13 +327,16 @@ def _end_to_end(folder: Path) -> Claim | None:
     judged = from_home(folder)
     if not judged:
         return None
+    met = bar_is_met(judged)
+    shown = dict.fromkeys((next(iter(judged)), best(judged)[0]))  # the first is as published
     return Claim(
         "a policy that also reaches does not learn to grasp from home",
         f"{paper.END_TO_END:g} %",
-        ", ".join(f"{column.mean()[0]:.1f} % (`{run}`)" for run, column in judged.items()),
-        not bar_is_met(judged),
-        "it does with a way that leads round the object and an arm as fast as in reaching"
-        if bar_is_met(judged)
+        ", ".join(f"{judged[run].mean()[0]:.1f} % (`{run}`)" for run in shown),
+        not met,
+        "not as published; with a way that leads over the object, a faster arm, actions for all "
+        "joints and many more steps it does"
+        if met
         else "beside the object it learns; the farther away episodes begin, the fewer succeed",
     )
 

@@ -130,9 +130,8 @@ def test_success_from_home_stands_beside_the_parts_and_the_publication(tmp_path)
     text = tables.success_from_home(tmp_path)
     assert "| apple | 3.1 (1–11) | 87.5 (53–98) |  |" in text
     assert "| **mean** | **3.1 (1–11)** |  |  |" in text, "of one object no mean is beside another"
-    assert (
-        "2 of 64 trials succeed, 62 never lift the object. The lift begins in 4, and in 2" in text
-    )
+    assert "2 of 64 trials succeed, 62 never lift the object. The lift begins in 4, with " in text
+    assert "N a finger in the mean over the objects, and in 2 of these" in text
 
     judge(tmp_path, "published", dict.fromkeys(OBJECTS, 0) | {"apple": 2})
     judge(tmp_path, "good", dict.fromkeys(OBJECTS, 16))
@@ -148,11 +147,11 @@ def test_success_from_home_stands_beside_the_parts_and_the_publication(tmp_path)
 @pytest.mark.parametrize(("lifted", "verdict", "met"), [(16, "holds", "misses"),
                                                         (32, "does not", "meets")])  # fmt: skip
 def test_the_claim_falls_where_a_policy_grasps_from_home(tmp_path, lifted, verdict, met):
-    judge(tmp_path, "poor", {"apple": 0})
+    judge(tmp_path, "a-poor", {"apple": 0})
     judge(tmp_path, "best", {"apple": lifted})
     (line,) = [x for x in claims(tmp_path).splitlines() if "also reaches" in x]
     assert values(line)[1] == "0.07 %" and values(line)[3] == verdict
-    assert f"{lifted / 0.64:.1f} % (`best`)" in line and "0.0 % (`poor`)" in line
+    assert f"{lifted / 0.64:.1f} % (`best`)" in line and "0.0 % (`a-poor`)" in line
     text = tables.success_from_home(tmp_path)
     assert f"The best, `best` with {lifted / 0.64:.1f} %, {met} the 30 %" in text
 

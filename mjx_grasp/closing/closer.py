@@ -233,10 +233,9 @@ class Closer:
         first = len(at.fingers) + len(at.arm_policy)
         own = action[..., first : first + len(at.others)]
         own = jnp.where(state.lifting[..., None], 0.0, own) * dt
-        of_arm = np.isin(at.others, at.arm)
-        arm = arm.at[..., at.others[of_arm]].add(self.arm_rate(state) * own[..., of_arm])
-        fingers = at.others[~of_arm]
-        moved = rest[..., fingers] + self.config.action.finger_rate * own[..., ~of_arm]
+        of_arm, fingers = len(at.other_arm), at.other_fingers
+        arm = arm.at[..., at.other_arm].add(self.arm_rate(state) * own[..., :of_arm])
+        moved = rest[..., fingers] + self.config.action.finger_rate * own[..., of_arm:]
         return arm, rest.at[..., fingers].set(jnp.clip(moved, *joints.limits[fingers].T))
 
     def there(

@@ -21,9 +21,9 @@ from mjx_grasp.robot.interface import Measured
 class EndToEndCloser(Closer):
     """A `Closer` that starts anywhere and whose contacts may move; static under jit.
 
-    Before the lift a policy moves the arm and, unless it is assisted, the fingers alone: its finger
-    velocities move the held targets within the joints' limits, and the grip waits for the lift.
-    Stages, grip and lift are the `Closer`'s.
+    Before the lift a policy moves the arm and, where it is not assisted, the fingers alone: its
+    finger velocities move the held targets within the joints' limits. Without assistance the grip
+    waits for the lift, too. Stages, grip and lift are the `Closer`'s.
     """
 
     assisted: bool = False

@@ -84,7 +84,8 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """One control tick of every world; actions are clipped to ±1.
 
         Returns:
-            Observations, rewards, which worlds stopped being finite, whose time is up, and infos.
+            Observations, rewards, which worlds stopped being finite or have failed already, whose
+            time is up, and infos.
 
         Raises:
             InputError: Not one action per world.

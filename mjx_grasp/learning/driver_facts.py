@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,8 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
         "format": {"name": "mjx_grasp policy export", "version": VERSION},
         "robot": to_record(robot.identity),
         "joints": joint_facts(robot),
-        "observed_joints": robot.hand.policy_joints,
-        "acted_joints": robot.hand.policy_joints + robot.arm.policy_joints,
+        "observed_joints": _joints(observed, "rad"),
+        "acted_joints": _joints(acted, "rad/s"),
         "control": {"period_s": task.control_dt, "rate_hz": 1.0 / task.control_dt},
         "observation": {"size": policy.observation_size, "segments": to_record(observed)},
         "action": {
@@ -58,6 +59,11 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
         "exported": {"command": command_line(), "git": git_revision(), "versions": versions()},
     }
     return {name: json.dumps(fact) for name, fact in facts.items()}
+
+
+def _joints(segments: Sequence[Segment], unit: str) -> tuple[str, ...]:
+    """The joints whose position is read, or that are moved, in their order."""
+    return tuple(dict.fromkeys(n for part in segments if part.unit == unit for n in part.of))
 
 
 def joint_facts(robot: RobotSpec) -> list[dict[str, Any]]:

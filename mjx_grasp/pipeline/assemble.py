@@ -91,6 +91,7 @@ def whole_grasps(
         press_weight=4.0,
         heavier=1.25,
         edge_weight=800.0,
+        way_out=0.02,
         lesser_cost=80.0 if steered else 35.0,
         at_least=STEERED_AT_LEAST if steered else (),
         easily=1.45 if steered else float("inf"),

@@ -98,6 +98,10 @@ class PlanConfig(Settings):
     """that every attempt gets where some are left behind, beside the solver's own [-]"""
     retreat_steps: Count | None = None
     """of the solver for the retreated posture; None: as many as its own [-]"""
+    way_out: NonNegative = 0.0
+    """where tips come nearer to the object than this on the way out, along the normal of the plane
+    of grasp axis and wraps, the hand retreats straight up if they keep farther away then; 0: never
+    [m]"""
     way_samples: WholeNumber = 0
     """postures on the straight way to the retreated posture, and as many on the way in from it,
     whose clearances count; 0: plans are chosen by where they end alone [-]"""

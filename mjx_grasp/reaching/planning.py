@@ -39,6 +39,7 @@ from mjx_grasp.reaching.plan_costs import (
     light_enough,
     slip_costs,
 )
+from mjx_grasp.reaching.way_out import freer
 
 
 class Search(NamedTuple):
@@ -287,7 +288,10 @@ class Planner:
         q: Float[Array, " joints"],
         around: Surroundings,
     ) -> Guide:
-        """The funnel into a solution: out along the normal of the plane of grasp axis and wraps."""
+        """The funnel into a solution: out along the normal of the plane of grasp axis and wraps.
+
+        Or straight up, where that way leads the tips too near to the object: see `freer`.
+        """
         body, goals = self.reacher.body, wanted.tips
         motion = body.kinematics.motion(q)
         middle = midpoint(goals)
@@ -296,7 +300,10 @@ class Planner:
         # The palm's frame is at its root; the hand's extent is between it and the tips.
         outwards = motion.pos[PALM] - middle
         retreat = jnp.where(dot(outwards, normal) < 0, -normal, normal)
-        shifted = TipGoals(goals + self.reacher.config.guide.length * retreat, wanted.pads)
+        length = self.reacher.config.guide.length
+        if self.config.way_out > 0:
+            retreat = freer(retreat, goals, length, around, self.config.way_out)
+        shifted = TipGoals(goals + length * retreat, wanted.pads)
         ik = self.config.ik
         ik = replace(ik, iterations=self.config.retreat_steps or ik.iterations)
         retreated = solve_ik(body, ik, self._clearances, shifted, around, q, q)

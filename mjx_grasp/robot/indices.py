@@ -56,12 +56,19 @@ class RobotIndices:
         return _stacked("hand.fingers.policy_joints", self.finger_policy)
 
     @property
+    def other_arm(self) -> Int[np.ndarray, " p"]:
+        """Joints of the arm that the policy does not move when it closes."""
+        return np.setdiff1d(self.arm, self.arm_policy)
+
+    @property
+    def other_fingers(self) -> Int[np.ndarray, " q"]:
+        """Joints of the three fingers that it does not."""
+        return np.setdiff1d(self.grasping, self.fingers)
+
+    @property
     def others(self) -> Int[np.ndarray, " o"]:
-        """Joints of the arm and of the three fingers that the policy does not move, in order."""
-        return np.setdiff1d(
-            np.concatenate([self.arm, self.grasping]),
-            np.concatenate([self.arm_policy, self.fingers]),
-        )
+        """Both: the arm's, then the fingers'."""
+        return np.concatenate([self.other_arm, self.other_fingers])
 
     @property
     def chains(self) -> Int[np.ndarray, "f c"]:

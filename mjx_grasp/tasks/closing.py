@@ -164,7 +164,7 @@ class ClosingTask:
     def tick(
         self, state: ClosingState, action: Float[Array, "w k"]
     ) -> tuple[ClosingState, TaskTick]:
-        """See `Task.tick`; finger residuals, then arm residuals."""
+        """See `Task.tick`; an action is what `Closer.action_size` counts."""
         action = jnp.clip(action, -1.0, 1.0)
         targets = self._targets(state.episode.row, state.truth)
         closer, target = self.closer.act(state.closer, state.measured, targets, action)
@@ -261,7 +261,7 @@ class ClosingTask:
     def _homing(
         self, before: Measured, after: Measured, row: Int[Array, " w"]
     ) -> Float[Array, " w"]:
-        """By how much the joints have come nearer to the start state's [rad]."""
+        """By how much the joints have come nearer to the start state's; here it begins there."""
         return jnp.zeros(len(row))
 
     def _targets(self, row: Int[Array, " w"], truth: Truth) -> ThreePoints:

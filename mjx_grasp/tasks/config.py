@@ -73,9 +73,9 @@ class RewardConfig(Settings):
     """times how much nearer to their contacts the pads have come in the tick, mean; of an episode
     it is paid for the way alone, however long that takes [1/m]"""
     posture: Finite = 0.0
-    """end to end: times how much nearer to the posture at the handoff arm and fingers have come in
-    the tick, along the way from home and until the lift; straight at their contacts pads would go
-    through the object [1/rad]"""
+    """end to end: times how much nearer to the posture at the handoff the joints with actions have
+    come in the tick, along the way from home and until the lift; straight at their contacts pads
+    would go through the object [1/rad]"""
     posture_near: NonNegative = 0.7
     """distance from that posture, over all these joints, from which it is near enough [rad]"""
 
@@ -106,6 +106,11 @@ class ClosingTaskConfig(CloserConfig):
         super().__post_init__()
         if self.episode_ticks < 1:
             raise InputError(self.name_of("episode_s"), self.episode_s, "one control tick or more")
+        if self.reward.posture and not isinstance(self, EndToEndConfig):
+            where = self.reward.name_of("posture")
+            raise InputError(
+                where, self.reward.posture, "0: the closing task begins at the handoff"
+            )
 
     @property
     def episode_ticks(self) -> int:
@@ -128,21 +133,24 @@ class EndToEndConfig(ClosingTaskConfig):
     )
     observation: ObservationConfig = field(default_factory=lambda: ObservationConfig(targets=True))
     assisted: bool = False
-    """whether guidance and grip move the fingers before the lift too, with the actions added"""
+    """whether guidance moves the fingers before the lift too, with the actions added as residuals,
+    and the grip presses with those that have touched or arrived"""
     within: PositiveOrNever = math.inf
     """mean distance of the pads from their contacts within which guidance does, each then straight
-    at its own; inf: anywhere, along the lines on which the episode began [m]"""
+    at its own, and the actions move the fingers alone elsewhere; inf: anywhere, along the lines on
+    which the episode began [m]"""
     reach_rate: NonNegative | None = None
-    """arm joint velocity at action 1 before the lift; None: as in the lift [rad/s]"""
+    """arm joint velocity at action 1 before the lift; None: as in the lift. Nothing else bounds it,
+    while reaching keeps to the robot's velocity limits [rad/s]"""
     given_up: PositiveOrNever = math.inf
     """how far the object may be moved before the lift until an episode of a training ends; one
     that slips in the lift ends it too. inf: all go on to the end of their time [m]"""
     postures: Annotated[int, Range(2, 1000)] = 17
-    """in which an episode may begin, evenly on the line in joint space from each handoff to home,
-    both included [-]"""
+    """in which an episode may begin, on the line in joint space from each handoff to home, both
+    included, evenly on each of its straight parts [-]"""
     raised: NonNegative = 0.0
-    """by how much the palm goes straight up first on this line, two fifths of the postures; 0: the
-    line is straight and leads through objects and table [m]"""
+    """by how much the palm goes straight up first on this line, as far as the arm can, over two
+    fifths of the postures; 0: the line is straight, which leads through many objects [m]"""
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
 
     def __post_init__(self) -> None:
@@ -150,6 +158,11 @@ class EndToEndConfig(ClosingTaskConfig):
         if self.reach_s >= self.episode_s:
             least = f"less than episode_s ({self.episode_s:g})"
             raise InputError(self.name_of("reach_s"), self.reach_s, least)
+        if math.isfinite(self.within) and not self.assisted:
+            raise InputError(self.name_of("within"), self.within, "inf, or assisted")
+        if math.isfinite(self.within) and self.reward.reach:
+            expected = "0 with a finite `within`: where nothing guides, it pays for standing still"
+            raise InputError(self.reward.name_of("reach"), self.reward.reach, expected)
 
     @property
     def controller(self) -> CloserConfig:

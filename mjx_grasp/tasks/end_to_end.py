@@ -35,8 +35,8 @@ from mjx_grasp.tasks.way_home import WayHome, build_way_home
 class EndToEndTask(ClosingTask):
     """Reaching, closing and lifting on one engine; a `PacedTask`.
 
-    A drawn start says how far away it is as a share of what the curriculum's level allows, which
-    the state knows (`Pace`). Draws that say nothing of it, as those of evaluations, begin at home.
+    A drawn start says how far away it is, within what the curriculum's level allows, which the
+    state knows (`Pace`). Draws that say nothing of it, as those of evaluations, begin at home.
 
     Args:
         physics: The engine.
@@ -107,23 +107,27 @@ class EndToEndTask(ClosingTask):
     def _homing(
         self, before: Measured, after: Measured, row: Int[Array, " w"]
     ) -> Float[Array, " w"]:
-        """By how much arm and fingers have come nearer along the way from home [rad]."""
+        """By how much the joints with actions have come nearer along the way from home [rad]."""
         if not self.config.reward.posture:
             return super()._homing(before, after, row)
         at, near = self.closer.joints.at, self.config.reward.posture_near
-        moving = np.concatenate([at.arm, at.grasping])
+        moving = np.concatenate([at.arm_policy, at.fingers])
+        if self.config.action.others:
+            moving = np.concatenate([moving, at.others])
         left = (jnp.maximum(self.way.left(m.q, row, moving), near) for m in (before, after))
         return next(left) - next(left)
 
     def _over(self, state: ClosingState) -> Bool[Array, " w"]:
-        """Where the object was pushed away before the lift, or slips in it."""
+        """Where the object was pushed away before the lift, or slips in it before any success."""
         if math.isinf(self.config.given_up):
             return super()._over(state)
         episode, truth = state.episode, state.truth
         pushed = norm(truth.object_pos - self.starts.truth.object_pos[episode.row])
+        drawn = math.sqrt(2.0) * self.noise.offset_m  # lay beside its start state from the first
         slip = norm(in_palm(state.measured, truth) - episode.object_in_palm)
         slipped = slip > self.config.success.slip
-        return jnp.where(state.closer.lifting, slipped, pushed > self.config.given_up)
+        lost = jnp.where(state.closer.lifting, slipped, pushed > self.config.given_up + drawn)
+        return lost & ~episode.progress.success
 
     def _table(self) -> Standing:
         postures = self.config.postures

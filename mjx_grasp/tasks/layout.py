@@ -9,7 +9,7 @@ from mjx_grasp.closing.learned import FORCE_UNIT
 from mjx_grasp.records.settings import NonNegative, Settings, WholeNumber
 from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.spec import RobotSpec
-from mjx_grasp.tasks.config import ClosingTaskConfig
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,16 @@ def observation_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Seg
 
 def action_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Segment, ...]:
     """The parts of what it answers, each number from −1 to 1; arguments as above."""
-    action = config.action
+    action, arm = config.action, config.action.arm_rate
+    if isinstance(config, EndToEndConfig) and config.reach_rate is not None:
+        arm = config.reach_rate  # before the lift, where nearly all of the way is
     parts: list[_Part] = [
         ("finger_residual", robot.hand.policy_joints, "rad/s", action.finger_rate, None),
-        ("arm_residual", robot.arm.policy_joints, "rad/s", action.arm_rate, None),
+        ("arm_residual", robot.arm.policy_joints, "rad/s", arm, None),
     ]
     if action.others:
         arms, hands = _others(robot)
-        parts.append(("other_arm_joint", arms, "rad/s", action.arm_rate, None))
+        parts.append(("other_arm_joint", arms, "rad/s", arm, None))
         parts.append(("other_finger_joint", hands, "rad/s", action.finger_rate, None))
     if action.of_grip:
         factor = "factor, its inverse at -1"
@@ -89,9 +91,11 @@ def action_layout(robot: RobotSpec, config: ClosingTaskConfig) -> tuple[Segment,
 
 def _others(robot: RobotSpec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Joints that closing leaves alone, of the arm and of the fingers."""
-    names = [robot.joints[i] for i in robot_indices(robot).others]
-    of_arm = robot.arm.joints
-    return tuple(n for n in names if n in of_arm), tuple(n for n in names if n not in of_arm)
+    at = robot_indices(robot)
+    return (
+        tuple(robot.joints[i] for i in at.other_arm),
+        tuple(robot.joints[i] for i in at.other_fingers),
+    )
 
 
 _Part = tuple[str, tuple[str, ...], str, float, int | None]

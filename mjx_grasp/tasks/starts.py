@@ -56,8 +56,8 @@ class StartDraw(NamedTuple):
     """Force budget [N]."""
     robot: RobotDraw
     way: Float[Array, " w"] | None = None
-    """Where a task that begins before the handoff does: the share of the way home, of what its
-    curriculum allows; None for home itself. The closing task begins at the handoff [-]."""
+    """Drawn evenly from 0 to 1, for where a task that begins before the handoff does, within what
+    its curriculum allows; None for home. The closing task begins at the handoff [-]."""
 
 
 def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTable:

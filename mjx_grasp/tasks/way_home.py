@@ -21,13 +21,15 @@ from mjx_grasp.tasks.starts import StartTable
 RAISING = 0.4
 """Share of a way with a corner that leads up to it."""
 ASTRAY = 2.0
-"""How much longer a way is for what a posture lies beside it: so that no short cut pays."""
+"""How much longer a way counts for what a posture lies beside it: the nearer to the line, the
+better, so that what pays most is to follow it."""
 
 
 class WayHome(NamedTuple):
-    """Postures on lines in joint space, evenly: row `k · n + i` is the i-th of start k.
+    """Postures on lines in joint space: row `k · n + i` is the i-th of start k.
 
-    A line is straight, or has a corner where the palm is straight above the handoff.
+    A line is straight, or has a corner where the palm is straight above the handoff, as far as the
+    arm can lift it there. Each straight part has its postures evenly.
     """
 
     qpos: Float[Array, "kn nq"]
@@ -134,7 +136,7 @@ def _between(
 def _raised(
     scene: Scene, q: Float[np.ndarray, "k joints"], height: float
 ) -> Float[np.ndarray, "k joints"]:
-    """Where a lift straight up brings the robot."""
+    """Where a lift straight up brings the robot, as far as its arm's limits let it."""
     body = robot_body(scene.robot)
     up = jax.jit(jax.vmap(lambda one: scripted_lift(body, one, height).q))
     return np.asarray(up(jnp.asarray(q, jnp.float32)), float)

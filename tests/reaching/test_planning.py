@@ -15,9 +15,11 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder, Sphere
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.config import StartConfig
+from mjx_grasp.posture.ik import TipGoals
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
+from mjx_grasp.reaching.fields import pad_goals
 from mjx_grasp.reaching.guide import Tracked, follow, track
 from mjx_grasp.reaching.plan_costs import closing_costs, light_enough, slip_costs
 from mjx_grasp.reaching.planning import Planner, start_library
@@ -173,6 +175,28 @@ def test_without_additions_everything_is_pursued_as_before(planned):
     for other in (everyone, all_steps):
         for a, b in zip(*map(jax.tree.leaves, (search(plain), search(other))), strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_a_guide_leads_straight_up_where_the_way_out_is_blocked(planned):
+    """A ball on the way out of one tip; without `way_out`, and where nothing is, it stays."""
+    reacher, plan, poses, found, _ = planned
+    guide = jax.tree.map(lambda leaf: jnp.asarray(leaf[0, 0]), found.plans.guide)
+    tips = reacher.body.kinematics.motion(guide.q[0]).pos[:FINGERS]
+    wanted, R = TipGoals(tips, pad_goals(tips)), jnp.asarray(poses.R_wo[0])
+    sideways = np.asarray(R @ guide.tip_shift / jnp.linalg.norm(guide.tip_shift))
+    assert abs(sideways[2]) < 0.9, "it can be told from straight up"
+    ball = Sphere(jnp.asarray(0.02))
+    there = Surroundings.still(ball, tips[1] + 0.1 * jnp.asarray(sideways), jnp.eye(3))
+    nowhere = there._replace(p_wo=jnp.asarray([0.0, 0.0, 5.0]))
+
+    def shift(way_out, around):
+        planner = Planner(reacher, replace(plan, way_out=way_out, retreat_steps=None))
+        made = jax.jit(planner._guide)(wanted, guide.q[0], around)
+        return np.asarray(around.R_wo @ made.tip_shift) / np.linalg.norm(made.tip_shift)
+
+    assert shift(0.02, there)[2] > 0.95
+    for way_out, around in ((0.0, there), (0.02, nowhere)):
+        assert shift(way_out, around) @ sideways > 0.9
 
 
 def test_what_is_in_the_way_and_a_detour_cost_time(planned):

@@ -11,9 +11,10 @@ from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.config import ActionConfig
 from mjx_grasp.closing.learned import ObservationConfig
+from mjx_grasp.errors import InputError
 from mjx_grasp.gym.worlds import Worlds
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.tasks.config import EndToEndConfig, RewardConfig, StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig, RewardConfig, StartNoise
 from mjx_grasp.tasks.curriculum import CurriculumConfig
 from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.layout import action_layout, observation_layout
@@ -137,9 +138,10 @@ def test_guidance_acts_near_the_contacts_alone_and_straight_at_them(scene, start
     state = begun(task, [0], 0.0)
     targets = task._targets(jnp.array([0]), state.truth)
     away = np.linalg.norm(targets.position - state.measured.pad_pos, axis=-1).mean()
-    config = replace(CONFIG, assisted=True, within=float(away) * (1.1 if near else 0.9))
+    within = float(away) * (1.1 if near else 0.9)
+    config = replace(CONFIG, assisted=True, within=within, reward=RewardConfig(reach=0.0))
     task = make(scene, starts, script, config)
-    state = begun(task, [0], 0.0)._replace()
+    state = begun(task, [0], 0.0)
     # As if the episode had begun elsewhere: the line from there does not matter.
     closer = state.closer._replace(start_pos=state.closer.start_pos + 0.1)
     field = np.asarray(task.closer.guidance(closer, state.measured, targets))
@@ -164,13 +166,31 @@ def test_guidance_acts_near_the_contacts_alone_and_straight_at_them(scene, start
         np.testing.assert_array_equal(residual, 0.0)
 
 
-def test_an_own_line_of_every_episode_guides_where_within_has_no_bound(scene, starts):
-    config = replace(CONFIG, assisted=True)
-    assert math.isinf(config.within)
-    task = make(scene, starts, still(starts, [0], 2), config)
+def test_without_a_bound_guidance_acts_anywhere_along_the_line_on_which_it_began(scene, starts):
+    task = make(scene, starts, still(starts, [0], 2), replace(CONFIG, assisted=True))
     state = begun(task, [0], 1.0)
     targets = task._targets(jnp.array([0]), state.truth)
-    assert bool(task.closer.near(state.closer, state.measured, targets)[0])
+    beside = state.closer._replace(start_pos=state.closer.start_pos + 0.05)
+    fields = [
+        np.asarray(task.closer.guidance(closer, state.measured, targets))
+        for closer in (state.closer, beside)
+    ]
+    assert all(np.linalg.norm(field[..., :3], axis=-1).min() > 0.05 for field in fields)
+    assert np.abs(fields[0] - fields[1]).max() > 0.05, "it returns to another line"
+
+
+@pytest.mark.parametrize(
+    ("settings", "refused"),
+    [
+        (dict(within=0.04, reward=RewardConfig(reach=0.0)), "within"),
+        (dict(within=0.04, assisted=True), "reach"),
+    ],
+)
+def test_settings_that_pay_for_standing_still_are_refused(settings, refused):
+    with pytest.raises(InputError, match=refused):
+        replace(CONFIG, **settings)
+    with pytest.raises(InputError, match="posture"):
+        ClosingTaskConfig(reward=RewardConfig(posture=1.0))
 
 
 def test_coming_home_along_the_way_pays_what_the_way_is_shorter(scene, starts, way):
@@ -184,7 +204,7 @@ def test_coming_home_along_the_way_pays_what_the_way_is_shorter(scene, starts, w
     state = begun(task, rows, 1.0)
     _, out = play(task, state, jnp.zeros((ticks, 1, 15)))
     at = task.closer.joints.at
-    moving = np.concatenate([at.arm, at.grasping])
+    moving = np.concatenate([at.arm_policy, at.fingers])
 
     def left(q):
         return max(float(way.left(jnp.asarray(q)[None], jnp.array(rows), moving)[0]), 0.2)
@@ -226,6 +246,33 @@ def test_a_training_gives_up_objects_that_are_pushed_away_or_slip(scene, starts,
         expected[4:, 0] = expected[5:, 1] = True
     np.testing.assert_array_equal(out.over, expected)
     assert not np.asarray(out.broken).any()
+
+
+def test_where_the_object_lay_from_the_first_and_what_slips_after_success_is_not_given_up(
+    scene, starts
+):
+    """World 0 lies as far away as it may be drawn, world 1 has succeeded before it slips."""
+    rows, ticks, offset = [0, 0], 90, 0.03
+    script = still(starts, rows, ticks)
+    script.truth.object_pos[:, 0, :2] += offset
+    script.truth.tip_found[2:, 1] = True
+    # Palm and object rise together, are held for long enough, and part.
+    script.truth.object_pos[10:, 1, 2] += 0.12
+    script.measured.palm_pos[10:, 1, 2] += 0.12
+    script.truth.object_pos[70:, 1, 2] -= 0.05
+    config = replace(CONFIG, given_up=0.01)
+    noise = StartNoise(offset_m=offset)
+    task = EndToEndTask(ScriptedPhysics(scene, script), starts, config, noise)
+    states, out = play(task, begun(task, rows, 0.0), jnp.zeros((ticks, 2, 15)))
+    assert bool(states.episode.progress.success[-1, 1]), "the script is a success"
+    assert not np.asarray(out.over).any()
+
+
+@pytest.mark.parametrize("fast", [2.0, None])
+def test_the_layout_says_how_fast_the_arm_is_before_the_lift(scene, fast):
+    config = replace(CONFIG, action=OTHERS, reach_rate=fast)
+    one = {part.what: part.one for part in action_layout(scene.robot, config)}
+    assert one["arm_residual"] == one["other_arm_joint"] == (fast or 0.5)
 
 
 def test_what_is_over_ends_an_episode_for_learners_and_is_no_truncation(scene, starts):

@@ -48,16 +48,19 @@ def test_it_has_the_same_ends_as_the_straight_way_and_two_straight_parts(
 
 
 @pytest.mark.parametrize("name", ["over", "straight"])
-def test_the_way_left_is_as_long_as_what_of_it_is_left(name, request, starts):
+def test_the_way_left_falls_along_the_way_and_is_as_long_as_what_is_left(name, request, starts):
+    """Exactly on the part that ends at the handoff; sharp corners before it may be cut."""
     way = request.getfixturevalue(name)
     q, joints = along(way, starts), np.arange(0, 18, 2)
     steps = np.linalg.norm(np.diff(q[..., joints], axis=1), axis=-1)
     left = np.concatenate([np.zeros((len(q), 1)), np.cumsum(steps, axis=1)], axis=1)
     rows = jnp.arange(len(q))
-    for k in range(POSTURES):
-        found = way.left(jnp.asarray(q[:, k]), rows, joints)
-        assert (np.asarray(found) <= left[:, k] + 1e-4).all(), "no longer than along it"
-        np.testing.assert_allclose(found[left[:, k] < 0.3], left[:, k][left[:, k] < 0.3], atol=1e-4)
+    found = np.stack([way.left(jnp.asarray(q[:, k]), rows, joints) for k in range(POSTURES)], 1)
+    assert (np.diff(found, axis=1) > 0).all()
+    exact = POSTURES if way.corner is None else round(RAISING * (POSTURES - 1)) + 1
+    np.testing.assert_allclose(found[:, :exact], left[:, :exact], atol=1e-4)
+    straight = np.linalg.norm((q - q[:, :1])[..., joints], axis=-1)
+    assert (found <= left + 1e-4).all() and (found >= straight - 1e-4).all()
 
 
 def test_the_way_left_is_a_potential_without_jumps_that_is_zero_at_the_handoff(over, starts):

@@ -136,6 +136,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"
             ),
+            "walls": pipeline_tables.pipeline_ablation(folder / "pipeline_ablation_walls.json"),
             "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": speed_tables.grasper_speed(folder / "grasper_cpu.json"),
             "grasper-worlds": speed_tables.grasper_worlds(

@@ -117,7 +117,12 @@ VARIANTS = {
             "reaching.plan.edge_weight": 0.0,
             "reaching.plan.press_weight": 0.0,
             "reaching.plan.heavier": _NEVER,
+            "reaching.plan.must_hold": _NEVER,
         },
+    ),
+    "sideways": Variant(
+        "plans come in sideways, also to walls that turn round",
+        {"reaching.plan.way_out": 0.0},
     ),
     "paper-gate": Variant(
         "handoff as published, by the midpoint alone",

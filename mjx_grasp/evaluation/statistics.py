@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
@@ -27,7 +29,7 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interva
         raise InputError("n", n, "one trial or more")
     if not 0 <= successes <= n:
         raise InputError("successes", successes, f"0 to {n}")
-    z = float(stats.norm.ppf(0.5 + confidence / 2))
+    z = _quantile(confidence)
     rate = successes / n
     centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * np.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
@@ -35,6 +37,12 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interva
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == n else centre + half
     return 100.0 * float(low), 100.0 * float(high)
+
+
+@functools.cache
+def _quantile(confidence: float) -> float:
+    """Half the width of the normal distribution's interval, in standard deviations."""
+    return float(stats.norm.ppf(0.5 + confidence / 2))
 
 
 def mean_rate_interval(

@@ -202,13 +202,12 @@ def _hints(kind: Any) -> dict[str, Any]:
 Limit = Range | Several | Suffix
 
 
-@functools.cache  # thousands of rows of a results file ask for the same few
-def _bare(hint: Any) -> tuple[Any, tuple[Limit, ...]]:
+def _bare(hint: Any) -> tuple[Any, Collection[Limit]]:
     """A type without its annotation, and the limits among it."""
     if get_origin(hint) is not Annotated:
-        return hint, ()
+        return hint, []
     inner, *extras = get_args(hint)
-    return inner, tuple(e for e in extras if isinstance(e, Limit))
+    return inner, [e for e in extras if isinstance(e, Limit)]
 
 
 def _expected(hint: Any, value: Any) -> str | None:

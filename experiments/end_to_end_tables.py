@@ -59,17 +59,8 @@ def trainings(folder: Path) -> str:
     lines = tuple(_training(row, judged.get(row["run"])) for row in rows)
     header = (
         *("run", "curriculum", "assisted", "arm before the lift rad/s", "joints", "way", "objects"),
-        *(
-            "worlds × unroll",
-            "device",
-            "seed",
-            "M steps",
-            "s",
-            "steps/s",
-            "return",
-            "success in training %",
-        ),
-        *("from home, native %", "git"),
+        *("worlds × unroll", "device", "seed", "M steps", "s", "steps/s", "return"),
+        *("success in training %", "from home, native %", "git"),
     )
     return markdown(Table("End-to-end trainings", header, lines, names=9))
 

@@ -31,6 +31,16 @@ def test_a_way_that_is_free_is_taken_even_where_up_is_freer():
         np.testing.assert_allclose(chosen(way, box), way, atol=1e-6)
 
 
+def test_a_way_that_is_free_enough_is_taken_though_up_is_freer():
+    """It passes a ball at a little more than what is enough; upwards nothing is near."""
+    way, past = np.array([1.0, 0.0, 0.0]), ENOUGH + 0.005
+    ball = Sphere(jnp.asarray(0.03))
+    around = still(ball, np.asarray(TIPS[0]) + 0.1 * way - np.array([0.0, 0.03 + past, 0.0]))
+    np.testing.assert_array_equal(chosen(way, around), way)
+    nearer = still(ball, np.asarray(TIPS[0]) + 0.1 * way - np.array([0.0, 0.04, 0.0]))
+    np.testing.assert_array_equal(chosen(way, nearer), UP)
+
+
 def test_a_way_through_the_object_gives_way_to_straight_up():
     """A ball is in the way of one of the tips; the other way out is free."""
     ball = Sphere(jnp.asarray(0.03))

@@ -275,25 +275,29 @@ def test_the_layout_says_how_fast_the_arm_is_before_the_lift(scene, fast):
     assert one["arm_residual"] == one["other_arm_joint"] == (fast or 0.5)
 
 
-def test_what_is_over_ends_an_episode_for_learners_and_is_no_truncation(scene, starts):
+@pytest.mark.parametrize("ticks", [4, 900])
+def test_what_is_over_ends_an_episode_for_learners_and_is_no_truncation(scene, starts, ticks):
+    """World 0 fails in the fourth tick: in the middle of its time, or just at the end of it."""
     script = still(starts, [0, 0], 6)
     script.truth.object_pos[3:, 0, 0] += 0.06
     task = make(scene, starts, script, replace(CONFIG, given_up=0.05))
     task.draw = lambda key, worlds: draw_of([0] * worlds)._replace(way=jnp.zeros(worlds))
+    task.episode_ticks = ticks
     env = BraxTask(task, 2, stagger=False)
     state, seen = jax.jit(env.reset)(jax.random.PRNGKey(0)), []
     for _ in range(6):
         state = jax.jit(env.step)(state, jnp.zeros((2, 15)))
         seen.append((state.done, state.info["truncation"], state.info["episode_done"]))
     done, truncated, counted = np.asarray(seen).transpose(1, 0, 2)
-    np.testing.assert_array_equal(done[:, 0], [0, 0, 0, 1, 0, 0])  # and begins anew
-    np.testing.assert_array_equal(done[:, 1], 0)
-    np.testing.assert_array_equal(truncated, 0)
+    late = [0, 0, 0, int(ticks == 4), 0, 0]
+    np.testing.assert_array_equal(done.T, [[0, 0, 0, 1, 0, 0], late])  # and begins anew
+    np.testing.assert_array_equal(truncated.T, [[0] * 6, late])
     np.testing.assert_array_equal(counted, done)
     worlds = Worlds(task)
     told, at = [], worlds.start(jax.random.split(jax.random.PRNGKey(1), 2))
     for _ in range(4):
         at, tick = worlds.tick(at, jnp.zeros((2, 15)))
         told.append((tick.terminated, tick.truncated))
-    np.testing.assert_array_equal(np.asarray(told)[:, 0], [[0, 0]] * 3 + [[1, 0]])
-    np.testing.assert_array_equal(np.asarray(told)[:, 1], 0)
+    terminated, truncated = np.asarray(told).transpose(1, 2, 0)
+    np.testing.assert_array_equal(terminated, [[0, 0, 0, 1], [0] * 4])
+    np.testing.assert_array_equal(truncated, [[0] * 4, late[:4]])

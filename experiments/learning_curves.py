@@ -37,7 +37,7 @@ POINTS = 60
 """Of a run, at most."""
 _EPISODES = 100  # of a point, at least
 _COLOURS = {
-    "closing": (COLOURS[0], "#3f8fd2", "#12365c"),
+    "closing": (COLOURS[0], "#3f8fd2", "#12365c", "#159a9c"),
     "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c", "#2f7d4f"),
 }
 _APART = 7.0  # of two words, at least [% of success]

@@ -19,9 +19,7 @@ from jaxtyping import Float
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.journal import Journal, goes_on
 from mjx_grasp.evaluation.run import outcome_letters
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import (
     Controller,
     Trials,
@@ -36,8 +34,10 @@ from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.journal import Journal, goes_on
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import SceneConfig, build_scene
 from mjx_grasp.tasks.assemble import TaskConfig, build_world

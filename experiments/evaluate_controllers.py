@@ -29,16 +29,15 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
 from mjx_grasp.evaluation.results import ResultRow, read_results, row_from_record, write_results
 from mjx_grasp.evaluation.run import evaluate
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, with_states
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
+from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import (
     Count,
@@ -48,6 +47,7 @@ from mjx_grasp.records.settings import (
     from_record,
     to_record,
 )
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world

@@ -21,14 +21,14 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.run import evaluate
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, states_of
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world

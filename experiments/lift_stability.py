@@ -25,9 +25,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.journal import Journal, journaled
 from mjx_grasp.evaluation.run import outcome_letters
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.evaluation.trials import Trials, paired_draws, watch_trials, zero_controller
 from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -35,8 +33,10 @@ from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.records.atomic import check_writable, replacing, write_json
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Seed, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world

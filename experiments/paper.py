@@ -39,7 +39,7 @@ FOLDER = "runs/paper"
 """of what is no result: states and policies on the way, and what is done"""
 STATES = (
     "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
-    f"--objects-dir SCANS --out {FOLDER}/handoffs.npz"
+    f"--objects-dir SCANS --processes CORES --out {FOLDER}/handoffs.npz"
 )
 END_TO_END = "-m mjx_grasp.train --preset end-to-end --objects-dir SCANS --evaluation-episodes 0"
 AS_PUBLISHED = f"{END_TO_END} --handoffs {FOLDER}/handoffs.npz --scene.physics-dt 0.005"
@@ -123,7 +123,7 @@ PARTS = (
         "tip errors at handoffs that the reaching controller comes to",
         (
             "-m mjx_grasp.handoffs --kind reached --objects eight --objects-dir SCANS "
-            "--per-object 256 --out experiments/results/handoffs_reached.npz",
+            "--per-object 256 --processes CORES --out experiments/results/handoffs_reached.npz",
         ),
     ),
     Part(
@@ -151,7 +151,8 @@ PARTS = (
         "success on all objects that have start states, held-out ones too",
         (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96 "
-            f"--max-rounds 3 --seed 11 --objects-dir SCANS --out {FOLDER}/reached_all.npz",
+            "--max-rounds 3 --seed 11 --objects-dir SCANS --processes CORES "
+            f"--out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 12 "
             "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "

@@ -37,8 +37,6 @@ from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
-from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.config import GrasperConfig
@@ -46,8 +44,10 @@ from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.presets import GATES, ReachPreset
 from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Settings, Several, Suffix, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 
 SCHEMA = "mjx_grasp.pipeline_ablation/1"

@@ -22,8 +22,6 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
-from mjx_grasp.evaluation.journal import Journal, journaled
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.reached import ReachedGenerator, reach_settings
@@ -31,8 +29,10 @@ from mjx_grasp.learning.controller import load_controller
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.tasks.config import StartNoise
 

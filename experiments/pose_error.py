@@ -21,7 +21,7 @@ from compared import ComparedConfig, Runner, compared, journal_of, keep
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
-from mjx_grasp.evaluation.journal import journaled
+from mjx_grasp.records.journal import journaled
 from mjx_grasp.records.settings import NonNegative
 from mjx_grasp.tasks.config import StartNoise
 

@@ -33,8 +33,6 @@ from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace, grasp_all
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
-from mjx_grasp.evaluation.journal import Journal, journaled
-from mjx_grasp.evaluation.spread import Spread, unspread
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned, turned_back
 from mjx_grasp.grasp.candidates import vertex_candidates
@@ -52,8 +50,10 @@ from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Seed, to_record
+from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene

@@ -113,7 +113,7 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
     script, first, tmp_path, monkeypatch
 ):
     """Of controllers that end in the reverse of their order, too."""
-    from mjx_grasp.evaluation import journal
+    from mjx_grasp.records import journal
 
     def as_done(over, work, jobs, setup):
         context = setup()

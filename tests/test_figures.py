@@ -15,11 +15,11 @@ import trimesh
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.records.spread import Spread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.training.config import settings_of
 

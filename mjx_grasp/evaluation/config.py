@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
+from mjx_grasp.records.spread import Spread
 from mjx_grasp.tasks.assemble import Engine
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
 

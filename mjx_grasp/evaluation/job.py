@@ -14,7 +14,6 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import chosen_states, evaluate
-from mjx_grasp.evaluation.spread import spread, unspread
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
@@ -23,6 +22,7 @@ from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
+from mjx_grasp.records.spread import spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world

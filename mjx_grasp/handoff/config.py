@@ -23,6 +23,7 @@ from mjx_grasp.records.settings import (
     Share,
     Suffix,
 )
+from mjx_grasp.records.spread import Spread
 from mjx_grasp.sim.scene import ObjectArea
 
 HandoffKind = Literal["ik", "reached", "mixed"]
@@ -88,7 +89,7 @@ class PostureConfig(Settings):
 
 
 @dataclass(frozen=True)
-class HandoffConfig(ObjectsConfig):
+class HandoffConfig(ObjectsConfig, Spread):
     """Settings of `python -m mjx_grasp.handoffs`."""
 
     out: Annotated[Path, Suffix((".npz",))]

@@ -28,7 +28,7 @@ from mjx_grasp.records.settings import Settings
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
 from mjx_grasp.robot.spec import RobotSpec
 
-_ARRAYS = {
+ARRAYS = {
     "object_index": "int32 n",
     "object_pos": "float32 n 3",
     "object_quat": "float32 n 4",
@@ -40,6 +40,7 @@ _ARRAYS = {
     "midpoint": "float32 n",
     "reached": "bool n",
 }
+"""Of a set: type and shape of each."""
 _NAMES = ("object_names", "object_content_hash", "robot")
 KINDS = ("ik", "reached", "mixed")
 """Of a set: postures of inverse kinematics, ends of the reaching controller, or both."""
@@ -53,7 +54,7 @@ _BEYOND_LIMITS = 1e-3
 """How far joints may be beyond their range [rad or m]."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=list(_ARRAYS), meta_fields=list(_NAMES))
+@partial(jax.tree_util.register_dataclass, data_fields=list(ARRAYS), meta_fields=list(_NAMES))
 @dataclass(frozen=True)
 class HandoffSet:
     """Pre-grasp states; arrays have N states in front. World frame, SI units.
@@ -98,7 +99,7 @@ class HandoffSet:
 
     def take(self, which: Int[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> HandoffSet:
         """The states of these indices, or where a mask is true; names stay."""
-        return replace(self, **{name: getattr(self, name)[which] for name in _ARRAYS})
+        return replace(self, **{name: getattr(self, name)[which] for name in ARRAYS})
 
     def select(self, names: Sequence[str]) -> HandoffSet:
         """The states of these objects alone; the set's names become these, in this order.
@@ -158,7 +159,7 @@ class HandoffSet:
             FileError: Arrays do not fit each other, or hold no such states.
         """
         header = _Header(**{name: getattr(self, name) for name in (*_NAMES, "kind")})
-        write_archive(path, _KIND, header, {name: getattr(self, name) for name in _ARRAYS})
+        write_archive(path, _KIND, header, {name: getattr(self, name) for name in ARRAYS})
 
 
 def kind_of(reached: Bool[np.ndarray, " n"]) -> str:
@@ -187,7 +188,7 @@ def merge(sets: Sequence[HandoffSet]) -> HandoffSet:
             if hashes.setdefault(name, content) != content:
                 raise InputError("sets", f"{name} with two contents", "the same object throughout")
     names = tuple(hashes)
-    arrays = {name: np.concatenate([getattr(s, name) for s in sets]) for name in _ARRAYS}
+    arrays = {name: np.concatenate([getattr(s, name) for s in sets]) for name in ARRAYS}
     arrays["object_index"] = np.concatenate(
         [np.array([names.index(n) for n in s.object_names], np.int32)[s.object_index] for s in sets]
     )
@@ -303,7 +304,7 @@ _KIND = ArchiveKind(
     format="mjx_grasp handoff set",
     version=3,
     header=_Header,
-    arrays=_ARRAYS,
+    arrays=ARRAYS,
     check=_check,
     older={1: _before_kinds, 2: _before_kinds},
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,15 @@ from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs, merge
 from mjx_grasp.handoff.generate import HandoffGenerator
 from mjx_grasp.handoff.reached import ReachedGenerator
+from mjx_grasp.handoff.record import as_record, from_record
 from mjx_grasp.handoff.report import ObjectReport, read_report, write_report
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.model import ObjectModel, load_objects, stand_in_hash
 from mjx_grasp.records.atomic import check_writable
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
+from mjx_grasp.records.spread import unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 
 _IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None}
@@ -38,7 +42,8 @@ def make_handoffs(
     """Makes, saves and reports the pre-grasps of all objects of a configuration.
 
     Writes the set to ``config.out`` and the report beside it, with the suffix ``.json``. An object
-    without any pre-grasp is in the report, as not eligible, and in the set's names.
+    without any pre-grasp is in the report, as not eligible, and in the set's names. Killed and
+    called again, it goes on after the objects that were finished.
 
     Args:
         config: Settings.
@@ -63,23 +68,38 @@ def make_handoffs(
         _warn_of_mixed_shapes(kept, config, console)
         sets.append(kept)
     objects = load_objects(config.objects, config.objects_dir, weight=config.weight)
-    makers = _makers(robot, config)
+    settings = to_record(unspread(config))
+    hashes = {obj.name: obj.content_hash for obj in objects}
+    journal = Journal(config.out, {"config": settings, "objects": hashes}, made["git"])
+    if console is not None and journal.done:
+        console.print(f"{config.out}: goes on after {', '.join(journal.done)}")
     with counting_progress(console) as progress:
-        everything = progress.add_task("all objects", total=len(names) * config.per_object)
-        for done, obj in enumerate(objects):
-            task = progress.add_task(obj.name, total=config.per_object)
+        everything = progress.add_task("all objects", total=len(objects) * config.per_object)
+        bars: dict[str, TaskID] = {}
+        done = 0
 
-            def show(kept: int, task: TaskID = task, done: int = done) -> None:
-                progress.update(task, completed=kept)
-                progress.update(everything, completed=done * config.per_object + kept)
+        def show(name: str, kept: int) -> None:
+            if name not in bars:
+                bars[name] = progress.add_task(name, total=config.per_object)
+            progress.update(bars[name], completed=kept)
+            progress.update(everything, completed=done * config.per_object + kept)
 
-            states, said = _of_each_kind(obj, makers, config, show)
-            progress.update(task, visible=False)
-            progress.update(everything, completed=(done + 1) * config.per_object)
-            sets += states
-            reports += said
+        setup = partial(_Making, config, *([show] if config.alone else []))
+        jobs = [(obj.name, obj) for obj in objects]
+        for obj, found in zip(
+            objects, journaled(config, _Making.states_of, jobs, setup, journal), strict=True
+        ):
+            done += 1
+            progress.update(everything, completed=done * config.per_object)
+            if obj.name in bars:
+                progress.update(bars[obj.name], visible=False)
+            for record in found:
+                states, report = from_record(record, obj, robot)
+                sets.append(states)
+                reports.append(report)
     merged = merge(sets)
     if len(merged) == 0:
+        journal.close()
         raise InputError(
             "--objects",
             ", ".join(merged.object_names),
@@ -87,10 +107,30 @@ def make_handoffs(
             f"{config.max_rounds} round(s), more --max-rounds may find some",
         )
     merged.save(config.out)
-    settings = to_record(config)
-    path = config.out.with_suffix(".json")
-    write_report(path, reports, made, settings, earlier)
+    write_report(config.out.with_suffix(".json"), reports, made, settings, earlier)
+    journal.close()
     return merged, reports
+
+
+class _Making:
+    """What every process that makes states needs.
+
+    Args:
+        config: Settings.
+        show: Told of an object by its name how many states there are.
+    """
+
+    def __init__(
+        self, config: HandoffConfig, show: Callable[[str, int], None] = lambda name, kept: None
+    ):
+        self._config, self._show = config, show
+        self._makers = _makers(load_robot(config.robot), config)
+
+    def states_of(self, obj: ObjectModel) -> list[dict[str, Any]]:
+        """An object's states and reports of each kind, as records."""
+        show = partial(self._show, obj.name)
+        made = _of_each_kind(obj, self._makers, self._config, show)
+        return [as_record(*each) for each in zip(*made, strict=True)]
 
 
 def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:

@@ -1,1 +1,1 @@
-"""Files that survive: atomic writing, archives, provenance, settings, tables."""
+"""Work that survives: atomic writing, archives, journals, provenance, settings, processes."""

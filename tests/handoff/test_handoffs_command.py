@@ -3,16 +3,20 @@
 import dataclasses
 import json
 import sys
+from collections import Counter
 
 import handmade
 import numpy as np
 import pytest
+from on_cores import run_on_cores
 
 from mjx_grasp import handoffs as command
 from mjx_grasp.errors import InputError
 from mjx_grasp.handoff import make as module
-from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.dataset import ARRAYS, load_handoffs
+from mjx_grasp.handoff.record import as_record, from_record
 from mjx_grasp.handoff.report import ObjectReport
+from mjx_grasp.objects.model import load_object
 
 
 @pytest.fixture
@@ -76,6 +80,79 @@ def test_an_update_warns_of_scans_among_stand_ins(run, tmp_path):
     scanned.save(out)
     said = run("--objects", "sugar_box", "--update", out, "--out", out)
     assert "warning: the set's foam_brick are scans and the new objects stand-ins" in said
+
+
+def test_a_killed_run_goes_on_after_the_objects_that_were_finished(
+    run, tmp_path, monkeypatch, committed
+):
+    """And gives what it had given without that; other settings begin anew."""
+    arguments = "--objects", "foam_brick", "apple", "sugar_box", "--out"
+    run(*arguments, tmp_path / "whole.npz")
+    states_of, tried, deadly = module._Making.states_of, [], ["apple"]
+
+    def state(self, obj):
+        tried.append(obj.name)
+        if obj.name in deadly:
+            raise KeyboardInterrupt
+        return states_of(self, obj)
+
+    monkeypatch.setattr(module._Making, "states_of", state)
+    out = tmp_path / "set.npz"
+    with pytest.raises(KeyboardInterrupt):
+        run(*arguments, out)
+    assert not out.exists(), "only what is whole is a set"
+    deadly.clear()
+    assert "goes on after foam_brick" in run(*arguments, out)
+    assert tried == ["foam_brick", "apple", "apple", "sugar_box"]
+    assert out.read_bytes() == (tmp_path / "whole.npz").read_bytes()
+    reports = [json.loads((tmp_path / f"{n}.json").read_text()) for n in ("set", "whole")]
+    assert reports[0]["objects"] == reports[1]["objects"]
+    assert not list(tmp_path.glob(".*")), "no journal is left"
+
+    deadly.append("sugar_box")
+    with pytest.raises(KeyboardInterrupt):
+        run(*arguments, out)
+    deadly.clear()
+    assert "goes on" not in run(*arguments, out, "--seed", 1)
+
+
+def test_an_object_is_kept_to_the_bit(robot):
+    """Without any state, too, and with what was said of it."""
+    brick = load_object("foam_brick")
+    made = handmade.handoffs([brick], turns=(0.3, 1.1))
+    report = ObjectReport("foam_brick", "reached", rejected=Counter({"lift": 3, "hold": 1}))
+    report.reach_seconds = [1.3, 2.1]
+    report.keep(made, 0.1 + 0.2)
+    for states in (made, made.take(np.arange(0))):
+        record = json.loads(json.dumps(as_record(states, report)))
+        found, said = from_record(record, brick, robot)
+        for name in ARRAYS:
+            wanted = getattr(states, name)
+            assert getattr(found, name).dtype == wanted.dtype
+            np.testing.assert_array_equal(getattr(found, name), wanted)
+        assert (found.object_names, found.object_content_hash) == (
+            states.object_names,
+            states.object_content_hash,
+        )
+        assert found.robot.agrees(states.robot)
+        assert said == report and said.rejected["lift"] == 3 and said.rejected["self"] == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["ik", "mixed"])
+def test_two_processes_write_what_one_does(kind, tmp_path):
+    found = []
+    for n in (1, 2):
+        out = tmp_path / f"{n}.npz"
+        command = [sys.executable, "-m", "mjx_grasp.handoffs", "--objects", "foam_brick", "apple"]
+        command += ["--kind", kind, "--per-object", 4, "--max-rounds", 1]
+        command += ["--sampling.poses-per-round", 16, "--processes", n, "--out", out]
+        run_on_cores(command, n)
+        report = json.loads(out.with_suffix(".json").read_text())
+        assert report["config"]["processes"] == 1, "it makes no difference to the results"
+        found.append([{**row, "seconds": None} for row in report["objects"]])
+    assert found[0] == found[1]
+    assert (tmp_path / "1.npz").read_bytes() == (tmp_path / "2.npz").read_bytes()
 
 
 def test_a_set_that_git_knows_does_not_make_its_own_revision_dirty(run, tmp_path, monkeypatch):

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
+from mjx_grasp.records.spread import Spread
 
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""

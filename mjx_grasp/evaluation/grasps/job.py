@@ -17,13 +17,13 @@ from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
-from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
-from mjx_grasp.evaluation.spread import unspread
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
+from mjx_grasp.records.spread import unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 
 SCHEMA = "mjx_grasp.scenarios/1"

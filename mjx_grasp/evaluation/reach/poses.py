@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_grasp.evaluation.spread import Spread
 from mjx_grasp.records.settings import (
     Count,
     Interval,
@@ -19,6 +18,7 @@ from mjx_grasp.records.settings import (
     Several,
     Suffix,
 )
+from mjx_grasp.records.spread import Spread
 
 TUNING_SEEDS = (1, 2, 3, 2752)
 """Poses on which settings were chosen or faults were found; results that count come from others."""

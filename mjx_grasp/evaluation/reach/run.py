@@ -18,13 +18,13 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
 from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, plan_keys, sweep
-from mjx_grasp.evaluation.spread import Spread, spread
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
+from mjx_grasp.records.spread import Spread, spread
 from mjx_grasp.robot.spec import RobotSpec
 
 _ON_CPU = 128

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mjx_grasp.evaluation.spread import Spread, as_done
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.provenance import is_committed, versions
+from mjx_grasp.records.spread import Spread, as_done
 
 Context = TypeVar("Context")
 Job = TypeVar("Job")

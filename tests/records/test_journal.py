@@ -10,10 +10,10 @@ import time
 
 import pytest
 
-from mjx_grasp.evaluation import journal as module
-from mjx_grasp.evaluation.journal import Journal, goes_on, journaled
-from mjx_grasp.evaluation.spread import Spread
+from mjx_grasp.records import journal as module
+from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import versions
+from mjx_grasp.records.spread import Spread
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_a_file_of_other_settings_or_code_is_not_gone_on_with():
 
 def test_what_other_versions_have_done_is_done_again(results, monkeypatch):
     _run(results, [1, 2, 3], until=3)
-    monkeypatch.setattr("mjx_grasp.evaluation.journal.versions", lambda: {"mujoco": "99.0"})
+    monkeypatch.setattr("mjx_grasp.records.journal.versions", lambda: {"mujoco": "99.0"})
     assert _run(results, [1, 2, 3]) == ([2, 4, 6], [1, 2, 3])
 
 
@@ -131,8 +131,8 @@ def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):
             """
             import sys, time
             from pathlib import Path
-            from mjx_grasp.evaluation.journal import Journal, journaled
-            from mjx_grasp.evaluation.spread import Spread
+            from mjx_grasp.records.journal import Journal, journaled
+            from mjx_grasp.records.spread import Spread
 
             def work(context, job):
                 if job == 5 and sys.argv[1] == "waits":

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation import spread as module
-from mjx_grasp.evaluation.spread import (
+from mjx_grasp.records import spread as module
+from mjx_grasp.records.spread import (
     Place,
     Spread,
     as_done,

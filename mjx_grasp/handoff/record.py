@@ -1,0 +1,47 @@
+"""An object's states and their report as JSON, for work that is not finished yet."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mjx_grasp.handoff.dataset import ARRAYS, HandoffSet
+from mjx_grasp.handoff.report import ObjectReport
+from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.robot.spec import RobotSpec
+
+
+def as_record(states: HandoffSet, report: ObjectReport) -> dict[str, Any]:
+    """States of one object and the report of them, as JSON types and to the bit."""
+    arrays = {name: getattr(states, name).tolist() for name in ARRAYS}
+    return {"states": arrays, "report": vars(report) | {"rejected": dict(report.rejected)}}
+
+
+def from_record(
+    record: Mapping[str, Any], obj: ObjectModel, robot: RobotSpec
+) -> tuple[HandoffSet, ObjectReport]:
+    """What `as_record` was given.
+
+    Args:
+        record: Its result.
+        obj: The object.
+        robot: Whose states they are.
+    """
+    count = len(record["states"]["object_index"])
+    joints = len(robot.joints)
+    arrays = {}
+    for name, kind in ARRAYS.items():
+        dtype, _, *tail = kind.split()
+        shape = [joints if size == "joints" else int(size) for size in tail]
+        arrays[name] = np.array(record["states"][name], dtype).reshape(count, *shape)
+    states = HandoffSet(
+        **arrays,
+        object_names=(obj.name,),
+        object_content_hash=(obj.content_hash,),
+        robot=robot.identity,
+    )
+    said = record["report"]
+    return states, ObjectReport(**said | {"rejected": Counter(said["rejected"])})

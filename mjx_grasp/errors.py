@@ -20,7 +20,10 @@ class InputError(MjxGraspError, ValueError):
 
     def __init__(self, field: str, found: object, expected: str):
         self.field, self.found, self.expected = field, found, expected
-        super().__init__(f"{field}: found {found!r}, expected {expected}")
+        super().__init__(field, found, expected)  # what another process makes it from
+
+    def __str__(self) -> str:
+        return f"{self.field}: found {self.found!r}, expected {self.expected}"
 
 
 class FileError(MjxGraspError, ValueError):
@@ -34,4 +37,7 @@ class FileError(MjxGraspError, ValueError):
 
     def __init__(self, path: str | Path, found: str, expected: str):
         self.path, self.found, self.expected = Path(path), found, expected
-        super().__init__(f"{path}: found {found}, expected {expected}")
+        super().__init__(path, found, expected)
+
+    def __str__(self) -> str:
+        return f"{self.path}: found {self.found}, expected {self.expected}"

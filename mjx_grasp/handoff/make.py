@@ -123,8 +123,8 @@ class _Making:
     def __init__(
         self, config: HandoffConfig, show: Callable[[str, int], None] = lambda name, kept: None
     ):
-        self._config, self._show = config, show
-        self._makers = _makers(load_robot(config.robot), config)
+        self._config, self._show = unspread(config), show
+        self._makers = _makers(load_robot(config.robot), self._config)
 
     def states_of(self, obj: ObjectModel) -> list[dict[str, Any]]:
         """An object's states and reports of each kind, as records."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeVar
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.records.settings import CommandSettings, Count
 
@@ -133,6 +133,10 @@ def as_done(
         yield from pool.map_unordered(
             lambda worker, job: worker.run.remote(places[worker], *job), list(enumerate(jobs))
         )
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, MjxGraspError):  # for people: without the process's traceback
+            raise error.cause from None
+        raise
     finally:
         ray.shutdown()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records import spread as module
 from mjx_grasp.records.spread import (
     Place,
@@ -110,6 +110,17 @@ def test_results_of_several_come_in_order_from_cores_of_their_own_and_none_is_lo
     assert len(list(tmp_path.glob("setup-*"))) == 3, "once in each process"
     with pytest.raises(ValueError, match="nine"):
         list(spread(over, work, [0, 9], begin))
+
+
+@pytest.mark.long
+def test_what_a_process_refuses_is_said_as_by_one(two_cores):
+    def work(context, job):
+        raise FileError("scan.obj", "nothing", "a mesh")
+
+    with pytest.raises(FileError) as error:
+        list(spread(Spread(processes=2), work, range(4), lambda: 100))
+    assert type(error.value) is FileError and error.value.path == Path("scan.obj")
+    assert str(error.value) == "scan.obj: found nothing, expected a mesh"
 
 
 @pytest.mark.long

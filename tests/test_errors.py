@@ -1,0 +1,22 @@
+"""What errors say, in this process and from another one."""
+
+import copy
+import pickle
+
+import pytest
+
+from mjx_grasp.errors import FileError, InputError
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (InputError("--mass", -1.0, "a mass"), "--mass: found -1.0, expected a mass"),
+        (InputError("--objects", "mugg", "mug"), "--objects: found 'mugg', expected mug"),
+        (FileError("a/b.npz", "nothing", "a set"), "a/b.npz: found nothing, expected a set"),
+    ],
+)
+def test_errors_say_what_was_found_and_survive_a_way_between_processes(error, said):
+    for same in (error, pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert str(same) == said
+        assert type(same) is type(error) and vars(same) == vars(error)

@@ -48,7 +48,7 @@ OURS = (
     "--scene.physics-dt 0.005 --scene.fix-idle-fingers "
     "--ppo.worlds 8192 --ppo.unroll 32 --ppo.tuning 0 --ppo.averaged 0.1 "
     "--ppo.privileged-critic --ppo.critic-rate 3e-4 --ppo.value-clip 0.5 --ppo.hidden 256 256 "
-    "--ppo.action-std 0.15 --task.action.others --task.reach-rate 2 --task.action.arm-rate 0.15 "
+    "--ppo.action-std 0.15 --task.action.others --task.reach-rate 1 --task.action.arm-rate 0.15 "
     "--task.action.residual leaky --task.given-up 0.08 --task.raised 0.15 "
     "--task.curriculum.kind measured --task.curriculum.until 0.8 --task.curriculum.step 0.05 "
     "--task.curriculum.window 4000 --task.curriculum.frontier 0.5 "
@@ -60,7 +60,7 @@ OURS = (
     "--task.grip.arrival 0.005 --task.grip.approach-s None --task.grip.freezes "
     "--task.grip.together --task.lift.delay-s 0.5"
 )
-"""end to end with our critic, grip, rewards and way home, all joints and a faster arm"""
+"""end to end with our critic, grip, rewards and way home; all joints, arm as fast as reaching"""
 HELPED = "--task.assisted --task.within 0.04"
 """guidance moves the fingers too, once they are near"""
 END_TO_END_RUNS = {

@@ -39,7 +39,7 @@ FOLDER = "runs/paper"
 """of what is no result: states and policies on the way, and what is done"""
 STATES = (
     "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
-    f"--objects-dir SCANS --processes CORES --out {FOLDER}/handoffs.npz"
+    f"--max-rounds 4 --objects-dir SCANS --processes CORES --out {FOLDER}/handoffs.npz"
 )
 END_TO_END = "-m mjx_grasp.train --preset end-to-end --objects-dir SCANS --evaluation-episodes 0"
 AS_PUBLISHED = f"{END_TO_END} --handoffs {FOLDER}/handoffs.npz --scene.physics-dt 0.005"

@@ -38,7 +38,8 @@ POINTS = 60
 _EPISODES = 100  # of a point, at least
 _COLOURS = {
     "closing": (COLOURS[0], "#3f8fd2", "#12365c", "#159a9c"),
-    "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c", "#2f7d4f"),
+    "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c", "#2f7d4f")
+    + ("#e0709f", "#5c6b1f", "#c2410c"),
 }
 _APART = 7.0  # of two words, at least [% of success]
 _MILLIONS = (1, 3, 10, 30, 100, 300, 1000)
@@ -112,6 +113,7 @@ def _words(config: TrainConfig) -> str:
     how = ", as published" if task == settings_of(preset).task else ""
     if isinstance(task, EndToEndConfig) and not how:
         how += ", assisted" if task.assisted else ""
+        how += f", arm {task.reach_rate:g} rad/s" if task.reach_rate is not None else ""
         how += "" if task.raised else ", straight way"
         how += "" if task.action.others else ", closing's joints"
     return f"{way}{how}, {number} object{'s' * (number != 1)}"

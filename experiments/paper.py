@@ -48,7 +48,7 @@ OURS = (
     "--scene.physics-dt 0.005 --scene.fix-idle-fingers "
     "--ppo.worlds 8192 --ppo.unroll 32 --ppo.tuning 0 --ppo.averaged 0.1 "
     "--ppo.privileged-critic --ppo.critic-rate 3e-4 --ppo.value-clip 0.5 --ppo.hidden 256 256 "
-    "--ppo.action-std 0.15 --task.action.others --task.reach-rate 1 --task.action.arm-rate 0.15 "
+    "--ppo.action-std 0.15 --task.action.others --task.reach-rate 2 --task.action.arm-rate 0.15 "
     "--task.action.residual leaky --task.given-up 0.08 --task.raised 0.15 "
     "--task.curriculum.kind measured --task.curriculum.until 0.8 --task.curriculum.step 0.05 "
     "--task.curriculum.window 4000 --task.curriculum.frontier 0.5 "
@@ -60,13 +60,20 @@ OURS = (
     "--task.grip.arrival 0.005 --task.grip.approach-s None --task.grip.freezes "
     "--task.grip.together --task.lift.delay-s 0.5"
 )
-"""end to end with our critic, grip, rewards and way home; all joints, arm as fast as reaching"""
+"""end to end with our critic, grip, rewards and way home, all joints and a faster arm"""
 HELPED = "--task.assisted --task.within 0.04"
 """guidance moves the fingers too, once they are near"""
+PACED = "--task.reach-rate 1"
+"""the arm as fast as reaching keeps to"""
 END_TO_END_RUNS = {
     **{f"e2e-paper-{k}": f"{AS_PUBLISHED} --seed {k}" for k in (0, 1)},
     **{f"e2e-helped-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} --seed {k}" for k in (0, 1)},
     "e2e-alone-0": f"{OURS} --ppo.iterations 1500",
+    **{
+        f"e2e-paced-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} {PACED} --seed {k}"
+        for k in (0, 1)
+    },
+    "e2e-paced-alone-0": f"{OURS} --ppo.iterations 1500 {PACED}",
     "e2e-slow-0": (
         f"{OURS} --ppo.iterations 620 {HELPED} --task.reach-rate 0.5 "
         "--task.action.no-others --task.observation.no-others"

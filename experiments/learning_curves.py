@@ -38,8 +38,10 @@ POINTS = 60
 _EPISODES = 100  # of a point, at least
 _COLOURS = {
     "closing": (COLOURS[0], "#3f8fd2", "#12365c", "#159a9c"),
-    "end_to_end": (COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c", "#2f7d4f")
-    + ("#e0709f", "#5c6b1f", "#c2410c"),
+    "end_to_end": (
+        *(COLOURS[1], "#6e2f05", "#cf8a00", "#a3195b", "#7a5ba8", "#8c8c8c", "#2f7d4f"),
+        *("#e0709f", "#5c6b1f", "#c2410c"),
+    ),
 }
 _APART = 7.0  # of two words, at least [% of success]
 _MILLIONS = (1, 3, 10, 30, 100, 300, 1000)
@@ -185,20 +187,31 @@ def _line(
 ) -> None:
     """A curve, thin and dashed while episodes do not begin on the whole way yet."""
     split = int(np.argmax(whole)) if whole.any() else len(whole)
-    ax.plot(x[: split + 1], y[: split + 1], color=colour, linewidth=1.0, linestyle=(0, (3, 1.5)))
+    dashes = {"linewidth": 1.0, "linestyle": (0, (3, 1.5)), "alpha": 0.6}
+    ax.plot(x[: split + 1], y[: split + 1], color=colour, **dashes)
     ax.plot(x[split:], y[split:], color=colour, linewidth=1.8)
 
 
 def _label(ax: Axes, ends: Sequence[tuple[float, float, str, str]]) -> None:
-    """Words to the right of where curves end, from the lowest up and apart from each other."""
-    at = -np.inf
-    for x, y, colour, words in sorted(ends, key=lambda end: end[1]):
-        at = max(y, at + _APART)
+    """Words to the right of where curves end, near their height and apart from each other."""
+    ends = sorted(ends, key=lambda end: end[1])
+    for (x, y, colour, words), at in zip(ends, heights([y for _, y, *_ in ends]), strict=True):
         ax.annotate(
             words, (x, y), xytext=(1.03, at / 100), textcoords="axes fraction", color=colour,
             fontsize=8, va="center", annotation_clip=False,
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "alpha": 0.6},
         )  # fmt: skip
+
+
+def heights(wanted: Sequence[float]) -> Float[np.ndarray, " n"]:
+    """Heights of words that are as wanted, or moved up, or down from the top, to be apart.
+
+    Args:
+        wanted: From the lowest up [% of success].
+    """
+    at, step = np.array(wanted, float), _APART * np.arange(len(wanted))
+    at = np.maximum.accumulate(at - step) + step
+    return np.minimum(at, 100.0 - step[::-1])
 
 
 def main(config: CurvesConfig) -> None:

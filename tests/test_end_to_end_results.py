@@ -231,6 +231,14 @@ def test_the_picture_charges_for_start_states_and_shows_where_the_way_is_whole(
     assert list(after) == ["parts", "end"] and after["end"] == before["end"]
 
 
+def test_words_beside_curves_are_apart_and_below_the_top():
+    heights = script("learning_curves").heights
+    np.testing.assert_allclose(heights([5.0, 30.0, 60.0]), [5, 30, 60])
+    np.testing.assert_allclose(heights([5.0, 6.0, 30.0]), [5, 12, 30])
+    at = heights([0.0, 78.0, 79.0, 80.0, 81.0, 99.0])
+    assert np.all(np.diff(at) >= 7.0) and at[-1] <= 100.0 and at[0] == 0.0
+
+
 def test_the_trainings_of_the_paper_end_to_end_are_what_the_tables_hold():
     """Their commands have the settings of the runs whose rows are shipped."""
     (part,) = [p for p in script("paper").PARTS if p.name == "end-to-end"]

@@ -328,6 +328,23 @@ def main(config: PaperConfig) -> None:
     _run(LAST, config.objects_dir, console)
 
 
+def going_on(words: list[str]) -> list[str]:
+    """A command, or of a training that was stopped the one that goes on with it.
+
+    A run by another revision of the code stays, under a name that says which.
+    """
+    if words[:2] != ["-m", "mjx_grasp.train"]:
+        return words
+    folder = ROOT / words[words.index("--out") + 1]
+    if not (folder / "config.json").exists():
+        return words
+    made = read_json(folder / "provenance.json", "the provenance of a run")["git"]
+    if made.removesuffix("-dirty") == revision():
+        return [*words[:2], "--resume", os.path.relpath(folder, ROOT)]
+    folder.rename(folder.with_name(f"{folder.name}-{made[:12]}"))
+    return words
+
+
 def _run(command: str, scans: Path, console: Console) -> None:
     """Runs a command of this repository in its root.
 
@@ -336,8 +353,8 @@ def _run(command: str, scans: Path, console: Console) -> None:
     """
     there = os.path.relpath(scans, ROOT)  # results keep the command
     given = {"SCANS": there, "CORES": str(usable_cores())}
-    words = [given.get(word, word) for word in shlex.split(command)]
-    console.print(f"[dim]python {command}[/dim]")
+    words = going_on([given.get(word, word) for word in shlex.split(command)])
+    console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
     # What all cores share runs in native MuJoCo; on one GPU the processes would only wait.
     env = os.environ | ({"JAX_PLATFORMS": "cpu"} if "CORES" in command else {})

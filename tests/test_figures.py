@@ -562,6 +562,27 @@ def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path
     assert (tmp_path / "runs" / "paper" / "handoffs.npz").exists()
 
 
+def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
+    paper, tmp_path, monkeypatch
+):
+    module = paper.module
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    words = ["-m", "mjx_grasp.train", "--preset", "paper", "--out", "runs/paper/seed0"]
+    folder = tmp_path / "runs" / "paper" / "seed0"
+    assert module.going_on(words) == words
+    folder.mkdir(parents=True)
+    assert module.going_on(words) == words, "nothing was begun in it"
+    (folder / "config.json").write_text("{}")
+    (folder / "provenance.json").write_text('{"git": "abc-dirty"}')
+    assert module.going_on(words) == ["-m", "mjx_grasp.train", "--resume", "runs/paper/seed0"]
+    other = ["experiments/x.py", "--out", "runs/paper/seed0"]
+    assert module.going_on(other) == other
+
+    (folder / "provenance.json").write_text('{"git": "0123456789abcdef"}')
+    assert module.going_on(words) == words and not folder.exists()
+    assert (folder.parent / "seed0-0123456789ab" / "config.json").exists(), "nothing is lost"
+
+
 def test_the_papers_parts_are_listed_and_unknown_ones_refused(paper, tmp_path, capsys):
     module = paper.module
     config = module.PaperConfig(list=True, state=tmp_path / "state.json")

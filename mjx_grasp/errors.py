@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class MjxGraspError(Exception):
@@ -20,10 +21,10 @@ class InputError(MjxGraspError, ValueError):
 
     def __init__(self, field: str, found: object, expected: str):
         self.field, self.found, self.expected = field, found, expected
-        super().__init__(field, found, expected)  # what another process makes it from
+        super().__init__(f"{field}: found {found!r}, expected {expected}")
 
-    def __str__(self) -> str:
-        return f"{self.field}: found {self.found!r}, expected {self.expected}"
+    def __reduce__(self) -> tuple[Any, ...]:  # for another process
+        return type(self), (self.field, self.found, self.expected)
 
 
 class FileError(MjxGraspError, ValueError):
@@ -37,7 +38,7 @@ class FileError(MjxGraspError, ValueError):
 
     def __init__(self, path: str | Path, found: str, expected: str):
         self.path, self.found, self.expected = Path(path), found, expected
-        super().__init__(path, found, expected)
+        super().__init__(f"{path}: found {found}, expected {expected}")
 
-    def __str__(self) -> str:
-        return f"{self.path}: found {self.found}, expected {self.expected}"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path, self.found, self.expected)

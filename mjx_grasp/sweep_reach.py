@@ -1,8 +1,7 @@
 """`python -m mjx_grasp.sweep_reach`: how often the reaching controller reaches, and how fast.
 
-Thousands of randomised cylinders on the table, reached for from home by kinematic integration of
-the controller's commands, all in one batch on whatever device JAX finds. Prints the rates by
-tolerance and time beside the publication's.
+Thousands of randomised cylinders on the table, reached for from home without physics, in batches on
+whatever device JAX finds. Prints the rates by tolerance and time beside the publication's.
 """
 
 from mjx_grasp.cli import run_command, starting
@@ -21,29 +20,30 @@ def main() -> None:
         for flag, path in (("--out", config.out), ("--plot", config.plot)):
             if path is not None:
                 check_writable(flag, path)
-        from mjx_grasp.evaluation.reach.results import failure_line, rate_table, residual_table
-        from mjx_grasp.evaluation.reach.run import run_sweep
+        from mjx_grasp.evaluation.reach.results import tables
+        from mjx_grasp.evaluation.reach.run import journal_of, run_sweep
         from mjx_grasp.reaching.presets import for_sweep, reach_preset
         from mjx_grasp.robot.spec import load_robot
         from mjx_grasp.viz.reach import write_outputs
 
     console = Console()
     settings, robot = for_sweep(reach_preset(config.preset)), load_robot(config.robot)
-    run = run_sweep(
-        robot,
-        settings,
-        config.poses,
-        config.seed,
-        chunk=config.chunk,
-        bound=config.bound,
-        over=config,
-        console=console,
-    )
-    console.print(rate_table(run.result, config.preset))
-    console.print(residual_table(run.result, config.preset))
-    console.print(failure_line(run.result))
-    for path in write_outputs(config, settings, robot, run):
-        console.print(f"written: {path}")
+    with journal_of(config, robot, console) as journal:
+        run = run_sweep(
+            robot,
+            settings,
+            config.poses,
+            config.seed,
+            chunk=config.chunk,
+            bound=config.bound,
+            over=config,
+            journal=journal,
+            console=console,
+        )
+        for table in tables(run.result, config.preset):
+            console.print(table)
+        for path in write_outputs(config, settings, robot, run):
+            console.print(f"written: {path}")
 
 
 if __name__ == "__main__":

@@ -6,18 +6,18 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from mjx_grasp.handoff.dataset import ARRAYS, HandoffSet
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.records.journal import packed, unpacked
 from mjx_grasp.robot.spec import RobotSpec
 
 
 def as_record(states: HandoffSet, report: ObjectReport) -> dict[str, Any]:
     """States of one object and the report of them, as JSON types and to the bit."""
-    arrays = {name: getattr(states, name).tolist() for name in ARRAYS}
-    return {"states": arrays, "report": vars(report) | {"rejected": dict(report.rejected)}}
+    arrays = {name: getattr(states, name) for name in ARRAYS}
+    said = vars(report) | {"rejected": dict(report.rejected)}
+    return {"states": packed(arrays), "report": said}
 
 
 def from_record(
@@ -30,15 +30,8 @@ def from_record(
         obj: The object.
         robot: Whose states they are.
     """
-    count = len(record["states"]["object_index"])
-    joints = len(robot.joints)
-    arrays = {}
-    for name, kind in ARRAYS.items():
-        dtype, _, *tail = kind.split()
-        shape = [joints if size == "joints" else int(size) for size in tail]
-        arrays[name] = np.array(record["states"][name], dtype).reshape(count, *shape)
     states = HandoffSet(
-        **arrays,
+        **unpacked(record["states"]),
         object_names=(obj.name,),
         object_content_hash=(obj.content_hash,),
         robot=robot.identity,

@@ -1,19 +1,24 @@
 """The reach sweep: its distribution, what it records, and the command as a user types it."""
 
+import io
 import json
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typed import refusal
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.reach import run as module
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig, draw_poses
 from mjx_grasp.evaluation.reach.results import FAILURES, PAPER_RATE, classify, summary
+from mjx_grasp.evaluation.reach.run import Reached, journal_of, run_sweep
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.presets import PRESETS, for_sweep, reach_preset
+from mjx_grasp.robot.spec import load_robot
 
 
 def test_poses_are_of_the_distribution():
@@ -132,6 +137,50 @@ def test_presets_add_one_thing_after_another():
     assert (ended.fine_timeout, ended.timeout, ended.reselect_late) == (7.0, 15.0, False)
     with pytest.raises(InputError, match="preset"):
         reach_preset("fast")
+
+
+def test_a_killed_sweep_loses_no_poses_that_were_finished(body, tmp_path, monkeypatch, committed):
+    """And gives what it gives without a journal; another sweep does not take them for its own."""
+    done, deadly, said = [], [4], io.StringIO()
+
+    def share(self, rows):
+        if rows.start in deadly:
+            raise KeyboardInterrupt
+        done.append(rows.start)
+        record = _records(body, rows.stop - rows.start)
+        record.fine_time[:, 0] = np.arange(rows.start, rows.stop)
+        return Reached(record, np.full(rows.stop - rows.start, 0.01), {"reaching": 0.1 + 0.2})
+
+    monkeypatch.setattr(module.Reaching, "__init__", lambda self, *_: None)
+    monkeypatch.setattr(module.Reaching, "share", share)
+    robot, settings = load_robot(), reach_preset("straight")
+
+    def swept(config):
+        with journal_of(config, robot, Console(file=said)) as journal:
+            return run_sweep(robot, settings, config.poses, config.seed, chunk=2, journal=journal)
+
+    config = SweepConfig(poses=7, seed=9, out=tmp_path / "sweep.json")
+    with pytest.raises(KeyboardInterrupt):
+        swept(config)
+    deadly.clear()
+    assert said.getvalue() == ""
+    run = swept(config)
+    assert "goes on after poses 0 to 2, poses 2 to 4" in " ".join(said.getvalue().split())
+    assert done == [0, 2, 4, 6] and list(tmp_path.iterdir()) == []
+    np.testing.assert_array_equal(run.record.fine_time[:, 0], np.arange(7))
+    whole = run_sweep(robot, settings, 7, 9, chunk=2)
+    for ours, theirs in zip(run.record, whole.record, strict=True):
+        assert ours.dtype == theirs.dtype
+
+    deadly.append(4)
+    with pytest.raises(KeyboardInterrupt):
+        swept(config)
+    deadly.clear()
+    done.clear()
+    swept(SweepConfig(poses=7, seed=10, out=config.out))
+    assert done == [0, 2, 4, 6]
+    with journal_of(SweepConfig(), robot, Console()) as journal:
+        assert journal is None, "nothing is written, nothing kept"
 
 
 def _command(*args, cwd):

@@ -8,10 +8,11 @@ import sys
 import textwrap
 import time
 
+import numpy as np
 import pytest
 
 from mjx_grasp.records import journal as module
-from mjx_grasp.records.journal import Journal, goes_on, journaled
+from mjx_grasp.records.journal import Journal, goes_on, journaled, packed, unpacked
 from mjx_grasp.records.provenance import versions
 from mjx_grasp.records.spread import Spread
 
@@ -161,3 +162,19 @@ def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):
     again = subprocess.run([*command, "on"], cwd=tmp_path, capture_output=True, text=True)
     *did, said = again.stdout.splitlines()
     assert did == ["5", "6", "7"] and json.loads(said) == list(range(8))
+
+
+def test_arrays_go_into_a_line_of_json_to_the_bit():
+    arrays = {
+        "half": np.array([1 / 3, np.nan, -np.inf, -0.0], np.float32),
+        "none": np.zeros((0, 3)),
+        "flags": np.array([[True, False]]),
+        "one": np.array(7, np.int32),
+    }
+    found = unpacked(json.loads(json.dumps(packed(arrays))))
+    assert found.keys() == arrays.keys()
+    for name, array in arrays.items():
+        assert found[name].dtype == array.dtype and found[name].shape == array.shape
+        assert found[name].tobytes() == array.tobytes()
+    with pytest.raises(ValueError, match="pickle"):
+        unpacked(packed({"object": np.array([{}], dtype=object)}))

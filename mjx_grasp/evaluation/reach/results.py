@@ -231,6 +231,11 @@ def _nearest(record: ReachRecord, limits: LimitConfig, count: int = 5) -> dict[s
     return {str(safe[k]): _millimetres(distance[k]) for k in order}
 
 
+def tables(result: dict[str, Any], label: str) -> tuple[Table, Table, str]:
+    """What the command prints: rates, tip errors, and why reaches failed."""
+    return rate_table(result, label), residual_table(result, label), failure_line(result)
+
+
 def rate_table(result: dict[str, Any], label: str) -> Table:
     """The table of method §3 with the paper's figures beside ours, [%]."""
     header = ("mm", "", *(f"{b:g} s" for b in BUDGETS), "solvable")

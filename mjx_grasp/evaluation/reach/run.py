@@ -15,7 +15,7 @@ from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.evaluation.reach.poses import CylinderPoses, draw_poses
+from mjx_grasp.evaluation.reach.poses import CylinderPoses, SweepConfig, draw_poses
 from mjx_grasp.evaluation.reach.results import classify, summary
 from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, plan_keys, sweep
 from mjx_grasp.posture.body import robot_body
@@ -24,7 +24,10 @@ from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
 from mjx_grasp.records.compilation import compile_seconds
-from mjx_grasp.records.spread import Spread, spread
+from mjx_grasp.records.journal import Journal, journaled, packed, unpacked
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.settings import to_record
+from mjx_grasp.records.spread import Spread, spread, unspread
 from mjx_grasp.robot.spec import RobotSpec
 
 _ON_CPU = 128
@@ -66,6 +69,18 @@ class Reached(NamedTuple):
     """tip error of the best posture that was found [m]"""
     seconds: dict[str, float]
     """by stage, without compilation; that apart"""
+
+    def as_record(self) -> dict[str, Any]:
+        """The same as JSON types, to the bit."""
+        known = {} if self.least_error is None else {"least_error": self.least_error}
+        return {"arrays": packed(self.record._asdict() | known), "seconds": self.seconds}
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> Reached:
+        """From what `as_record` gave."""
+        arrays = unpacked(record["arrays"])
+        least_error = arrays.pop("least_error", None)
+        return cls(ReachRecord(**arrays), least_error, record["seconds"])
 
 
 class Reaching:
@@ -114,6 +129,10 @@ class Reaching:
         seconds, self._seconds = self._seconds, {}
         return Reached(record, least_error, seconds)
 
+    def share_as_record(self, rows: slice) -> dict[str, Any]:
+        """The same as JSON types."""
+        return self.share(rows).as_record()
+
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
         start, compiled = time.perf_counter(), compile_seconds()
@@ -122,6 +141,24 @@ class Reaching:
         known = self._seconds
         known[stage] = known.get(stage, 0.0) + time.perf_counter() - start - compiling
         known["compilation"] = known.get("compilation", 0.0) + compiling
+
+
+@contextmanager
+def journal_of(config: SweepConfig, robot: RobotSpec, console: Console) -> Iterator[Journal | None]:
+    """What a stopped sweep has left beside its results file; None without such a file.
+
+    It is gone once all is done, and stays if that is cut short.
+    """
+    if config.out is None:
+        yield None
+        return
+    settings, reaches = to_record(unspread(config)), to_record(robot.identity)
+    made_of = {"config": settings, "robot": reaches}
+    journal = Journal(config.out, made_of, provenance(config.seed)["git"])
+    if journal.done:
+        console.print(f"{config.out}: goes on after {', '.join(journal.done)}")
+    yield journal
+    journal.close()
 
 
 def run_sweep(
@@ -133,6 +170,7 @@ def run_sweep(
     chunk: int | None = None,
     bound: bool = True,
     over: Spread | None = None,
+    journal: Journal | None = None,
     console: Console | None = None,
 ) -> SweepRun:
     """Draws the poses, plans where the preset looks ahead, reaches for all, sums up.
@@ -145,6 +183,7 @@ def run_sweep(
         chunk: Poses worked on at once; by default 128 on a CPU, all of them on an accelerator.
         bound: Also report the share of poses for which a solution exists at all.
         over: Who shares the poses; this process alone by default. Times are those of all together.
+        journal: Where what is done is kept, poses worked on at once by poses; by default nowhere.
         console: Where progress is shown; nowhere if None.
 
     Raises:
@@ -154,24 +193,39 @@ def run_sweep(
     whole = over.alone and jax.default_backend() != "cpu"
     chunk = min(chunk or (count if whole else _ON_CPU), count)
     asked = Asked(robot, settings, count, seed, chunk, bound)
-    size = count if over.alone else chunk
+    size = count if over.alone and journal is None else chunk
     shares = [slice(first, min(first + size, count)) for first in range(0, count, size)]
     control = settings.reach.controller
-    ticks = count * round(control.timeout / control.dt)
+    ticks = round(control.timeout / control.dt)
+    jobs = [(f"poses {share.start} to {share.stop}", share) for share in shares]
+    kept = [share.stop - share.start for name, share in jobs if journal and name in journal.done]
     with counting_progress(console) as progress:
         if over.alone:
-            looks = settings.plan is not None or bound
-            jobs = {"planning": progress.add_task("inverse kinematics", total=count, visible=looks)}
-            jobs["reaching"] = progress.add_task("reaching", total=ticks)
-            setup = partial(Reaching, asked, lambda at, n: progress.advance(jobs[at], n))
+            looks, done = settings.plan is not None or bound, sum(kept)
+            bars = {
+                "planning": progress.add_task(
+                    "inverse kinematics", total=count, completed=done, visible=looks
+                ),
+                "reaching": progress.add_task(
+                    "reaching", total=count * ticks, completed=done * ticks
+                ),
+            }
+            setup = partial(Reaching, asked, lambda at, n: progress.advance(bars[at], n))
         else:
-            job = progress.add_task(f"poses by {over.processes} processes", total=count)
+            bar = progress.add_task(f"poses by {over.processes} processes", total=count)
             setup = partial(Reaching, asked)
+        results = (
+            spread(over, Reaching.share, shares, setup)
+            if journal is None
+            else map(
+                Reached.from_record, journaled(over, Reaching.share_as_record, jobs, setup, journal)
+            )
+        )
         found = []
-        for reached in spread(over, Reaching.share, shares, setup):
+        for reached in results:
             found.append(reached)
             if not over.alone:
-                progress.advance(job, len(reached.record.ticks))
+                progress.advance(bar, len(reached.record.ticks))
     record = jax.tree.map(lambda *parts: np.concatenate(parts), *(of.record for of in found))
     errors = [of.least_error for of in found if of.least_error is not None]
     least_error = np.concatenate(errors) if errors else None

@@ -69,8 +69,12 @@ def make_handoffs(
         sets.append(kept)
     objects = load_objects(config.objects, config.objects_dir, weight=config.weight)
     settings = to_record(unspread(config))
-    hashes = {obj.name: obj.content_hash for obj in objects}
-    journal = Journal(config.out, {"config": settings, "objects": hashes}, made["git"])
+    made_of = {
+        "config": settings,
+        "objects": {obj.name: obj.content_hash for obj in objects},
+        "robot": to_record(robot.identity),
+    }
+    journal = Journal(config.out, made_of, made["git"])
     if console is not None and journal.done:
         console.print(f"{config.out}: goes on after {', '.join(journal.done)}")
     with counting_progress(console) as progress:

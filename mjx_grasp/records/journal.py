@@ -55,6 +55,7 @@ class Journal:
         self._first = json.dumps(identity | made_by, sort_keys=True, default=str)
         self.done: dict[str, Any] = dict(self._kept()) if is_committed(git) else {}
         """of each finished job, by its name, what it gave"""
+        self._begun = False
 
     def _kept(self) -> Iterator[tuple[str, Any]]:
         if not self.path.exists():
@@ -69,19 +70,23 @@ class Journal:
                 return
             yield name, result
 
-    def open(self) -> None:
+    def add(self, name: str, result: Any) -> None:
+        """Keeps what a job gave, for good before it returns."""
+        line = json.dumps([name, result])
+        if not self._begun:
+            self._begin()
+        with self.path.open("a") as file:
+            file.write(f"{line}\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self.done[name] = result
+
+    def _begin(self) -> None:
         """Writes what is kept, without a line that is incomplete; only then can be added to it."""
         with replacing(self.path) as temporary:
             lines = (json.dumps(item) for item in self.done.items())
             temporary.write_text("".join(f"{line}\n" for line in (self._first, *lines)))
-
-    def add(self, name: str, result: Any) -> None:
-        """Keeps what a job gave, for good before it returns."""
-        self.done[name] = result
-        with self.path.open("a") as file:
-            file.write(json.dumps([name, result]) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        self._begun = True
 
     def close(self) -> None:
         """Removes the file: all is in the results now."""
@@ -105,8 +110,6 @@ def journaled(
         journal: Where results are until it is closed.
     """
     left = {name: job for name, job in jobs if name not in journal.done}
-    if left:
-        journal.open()
     given = 0
 
     def ready() -> Iterator[Any]:

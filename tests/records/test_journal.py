@@ -71,6 +71,12 @@ def test_results_come_in_order_as_soon_as_they_can(results):
     assert got == [10, 2, 4, 6] and done == [5, 2], "told apart by their names, not by their place"
 
 
+def test_nothing_is_left_of_work_of_which_nothing_was_finished(results):
+    """What cannot begin at all does not say that it has begun."""
+    assert _run(results, [1, 2, 3], until=1) == ([], [])
+    assert list(results.parent.iterdir()) == []
+
+
 def test_what_has_the_same_name_is_done_once(results):
     assert _run(results, [1, 2, 1]) == ([2, 4, 2], [1, 2])
 
@@ -122,6 +128,7 @@ def test_what_is_not_json_is_refused_at_once(results):
     journal = Journal(results, {}, "abc")
     with pytest.raises(TypeError, match="JSON"):
         next(journaled(Spread(), lambda c, j: object(), [("one", 1)], lambda: None, journal))
+    assert not journal.done and not journal.path.exists()
 
 
 def test_a_killed_process_loses_nothing_that_was_finished(tmp_path):

@@ -199,7 +199,10 @@ def _label(ax: Axes, ends: Sequence[tuple[float, float, str, str]]) -> None:
         ax.annotate(
             words, (x, y), xytext=(1.03, at / 100), textcoords="axes fraction", color=colour,
             fontsize=8, va="center", annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "alpha": 0.6},
+            arrowprops={
+                **{"arrowstyle": "-", "color": colour, "linewidth": 0.5, "alpha": 0.6},
+                "relpos": (0, 0.5),
+            },
         )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -331,17 +332,20 @@ def main(config: PaperConfig) -> None:
 def going_on(words: list[str]) -> list[str]:
     """A command, or of a training that was stopped the one that goes on with it.
 
-    A run by another revision of the code stays, under a name that says which.
+    A run by another command or revision of the code stays, under another name.
     """
     if words[:2] != ["-m", "mjx_grasp.train"]:
         return words
     folder = ROOT / words[words.index("--out") + 1]
     if not (folder / "config.json").exists():
         return words
-    made = read_json(folder / "provenance.json", "the provenance of a run")["git"]
-    if made.removesuffix("-dirty") == revision():
+    begun = folder / "provenance.json"
+    made = read_json(begun, "the provenance of a run") if begun.exists() else {}
+    git = made.get("git", "").removesuffix("-dirty")
+    if git == revision() and made.get("command") == shlex.join(["python", *words]):
         return [*words[:2], "--resume", os.path.relpath(folder, ROOT)]
-    folder.rename(folder.with_name(f"{folder.name}-{made[:12]}"))
+    names = (folder.with_name(f"{folder.name}.before-{k}") for k in count(1))
+    folder.rename(next(name for name in names if not name.exists()))
     return words
 
 
@@ -356,12 +360,13 @@ def _run(command: str, scans: Path, console: Console) -> None:
     words = going_on([given.get(word, word) for word in shlex.split(command)])
     console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
-    # What all cores share runs in native MuJoCo; on one GPU the processes would only wait.
+    # Processes that share all cores would only wait for each other on one GPU.
     env = os.environ | ({"JAX_PLATFORMS": "cpu"} if "CORES" in command else {})
     code = subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=False).returncode
     if code:
         raise MjxGraspError(
-            f"python {command}: ended with {code}; once it is mended, the same command goes on here"
+            f"python {shlex.join(words)}: ended with {code}; once it is mended, the same command "
+            "goes on here"
         )
 
 

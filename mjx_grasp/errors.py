@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import copyreg
 from pathlib import Path
 from typing import Any
 
 
 class MjxGraspError(Exception):
     """Base class of every error this package raises on purpose."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For another process: made anew from what it says and holds, not from its arguments."""
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class InputError(MjxGraspError, ValueError):
@@ -23,9 +28,6 @@ class InputError(MjxGraspError, ValueError):
         self.field, self.found, self.expected = field, found, expected
         super().__init__(f"{field}: found {found!r}, expected {expected}")
 
-    def __reduce__(self) -> tuple[Any, ...]:  # for another process
-        return type(self), (self.field, self.found, self.expected)
-
 
 class FileError(MjxGraspError, ValueError):
     """A file that is missing, damaged, foreign or of the wrong content.
@@ -39,6 +41,3 @@ class FileError(MjxGraspError, ValueError):
     def __init__(self, path: str | Path, found: str, expected: str):
         self.path, self.found, self.expected = Path(path), found, expected
         super().__init__(f"{path}: found {found}, expected {expected}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.path, self.found, self.expected)

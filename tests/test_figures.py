@@ -573,14 +573,27 @@ def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
     folder.mkdir(parents=True)
     assert module.going_on(words) == words, "nothing was begun in it"
     (folder / "config.json").write_text("{}")
-    (folder / "provenance.json").write_text('{"git": "abc-dirty"}')
+    begun = folder / "provenance.json"
+    made = {"git": "abc-dirty", "command": f"python {' '.join(words)}"}
+    begun.write_text(json.dumps(made))
     assert module.going_on(words) == ["-m", "mjx_grasp.train", "--resume", "runs/paper/seed0"]
     other = ["experiments/x.py", "--out", "runs/paper/seed0"]
     assert module.going_on(other) == other
 
-    (folder / "provenance.json").write_text('{"git": "0123456789abcdef"}')
-    assert module.going_on(words) == words and not folder.exists()
-    assert (folder.parent / "seed0-0123456789ab" / "config.json").exists(), "nothing is lost"
+    others = (
+        json.dumps(made | {"git": "abd"}),
+        json.dumps(made | {"command": "python -m mjx_grasp.train"}),
+        None,  # killed before it said anything
+    )
+    for k, other in enumerate(others, start=1):
+        folder.mkdir(exist_ok=True)
+        (folder / "config.json").write_text(f"{k}")
+        begun.unlink(missing_ok=True)
+        if other is not None:
+            begun.write_text(other)
+        assert module.going_on(words) == words and not folder.exists()
+        kept = folder.with_name(f"seed0.before-{k}") / "config.json"
+        assert kept.read_text() == f"{k}", "nothing is lost"
 
 
 def test_the_papers_parts_are_listed_and_unknown_ones_refused(paper, tmp_path, capsys):

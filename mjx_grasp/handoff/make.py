@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import jax
 import numpy as np
 from rich.console import Console
 from rich.progress import TaskID
@@ -73,30 +74,34 @@ def make_handoffs(
         "config": settings,
         "objects": {obj.name: obj.content_hash for obj in objects},
         "robot": to_record(robot.identity),
+        "device": jax.default_backend(),
     }
     journal = Journal(config.out, made_of, made["git"])
     if console is not None and journal.done:
         console.print(f"{config.out}: goes on after {', '.join(journal.done)}")
     with counting_progress(console) as progress:
+        finished = len(journal.done)
         everything = progress.add_task("all objects", total=len(objects) * config.per_object)
         bars: dict[str, TaskID] = {}
-        done = 0
 
         def show(name: str, kept: int) -> None:
             if name not in bars:
                 bars[name] = progress.add_task(name, total=config.per_object)
             progress.update(bars[name], completed=kept)
-            progress.update(everything, completed=done * config.per_object + kept)
+            progress.update(everything, completed=finished * config.per_object + kept)
+
+        def show_finished(obj: ObjectModel) -> None:
+            nonlocal finished
+            finished += 1
+            progress.update(everything, completed=finished * config.per_object)
+            if obj.name in bars:
+                progress.update(bars[obj.name], visible=False)
 
         setup = partial(_Making, config, *([show] if config.alone else []))
         jobs = [(obj.name, obj) for obj in objects]
-        for obj, found in zip(
-            objects, journaled(config, _Making.states_of, jobs, setup, journal), strict=True
-        ):
-            done += 1
-            progress.update(everything, completed=done * config.per_object)
-            if obj.name in bars:
-                progress.update(bars[obj.name], visible=False)
+        progress.update(everything, completed=finished * config.per_object)
+        results = journaled(config, _Making.states_of, jobs, setup, journal, show_finished)
+        for obj, found in zip(objects, results, strict=True):
             for record in found:
                 states, report = from_record(record, obj, robot)
                 sets.append(states)

@@ -99,6 +99,7 @@ def journaled(
     jobs: Sequence[tuple[str, Job]],
     setup: Callable[[], Context],
     journal: Journal,
+    told: Callable[[Job], None] = lambda job: None,
 ) -> Iterator[Any]:
     """The results of jobs in their order; none that is finished is lost, or done twice.
 
@@ -108,6 +109,7 @@ def journaled(
         jobs: One after the other, each with its name. What has the same name is the same.
         setup: Called once in every process before its first job.
         journal: Where results are until it is closed.
+        told: Of every job that is finished, when it is, be it before its turn.
     """
     left = {name: job for name, job in jobs if name not in journal.done}
     given = 0
@@ -122,6 +124,7 @@ def journaled(
     names = list(left)
     for k, result in as_done(over, work, list(left.values()), setup):
         journal.add(names[k], result)
+        told(left[names[k]])
         yield from ready()
 
 

@@ -4,7 +4,9 @@ import io
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -148,14 +150,15 @@ def test_a_killed_sweep_loses_no_poses_that_were_finished(body, tmp_path, monkey
             raise KeyboardInterrupt
         done.append(rows.start)
         record = _records(body, rows.stop - rows.start)
-        record.fine_time[:, 0] = np.arange(rows.start, rows.stop)
-        return Reached(record, np.full(rows.stop - rows.start, 0.01), {"reaching": 0.1 + 0.2})
+        number = np.arange(rows.start, rows.stop)
+        record = type(record)(*((leaf.T + number).T.astype(leaf.dtype) for leaf in record))
+        return Reached(record, 0.01 * number, {"planning": 0.3, "reaching": 0.1 + 0.2})
 
     monkeypatch.setattr(module.Reaching, "__init__", lambda self, *_: None)
     monkeypatch.setattr(module.Reaching, "share", share)
     robot, settings = load_robot(), reach_preset("straight")
 
-    def swept(config):
+    def swept(config, robot=robot):
         with journal_of(config, robot, Console(file=said)) as journal:
             return run_sweep(robot, settings, config.poses, config.seed, chunk=2, journal=journal)
 
@@ -167,18 +170,29 @@ def test_a_killed_sweep_loses_no_poses_that_were_finished(body, tmp_path, monkey
     run = swept(config)
     assert "goes on after poses 0 to 2, poses 2 to 4" in " ".join(said.getvalue().split())
     assert done == [0, 2, 4, 6] and list(tmp_path.iterdir()) == []
-    np.testing.assert_array_equal(run.record.fine_time[:, 0], np.arange(7))
     whole = run_sweep(robot, settings, 7, 9, chunk=2)
     for ours, theirs in zip(run.record, whole.record, strict=True):
         assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+    assert run.result.pop("seconds") == {"planning": 1.2, "reaching": 1.2}, "of all four shares"
+    del whole.result["seconds"]
+    assert json.dumps(run.result) == json.dumps(whole.result)
 
-    deadly.append(4)
-    with pytest.raises(KeyboardInterrupt):
-        swept(config)
-    deadly.clear()
-    done.clear()
-    swept(SweepConfig(poses=7, seed=10, out=config.out))
-    assert done == [0, 2, 4, 6]
+    others = (
+        (replace(config, seed=10), robot),
+        (config, replace(robot, name="another")),
+        (config, robot),  # on another device
+    )
+    for other, reaches in others:
+        deadly.append(4)
+        with pytest.raises(KeyboardInterrupt):
+            swept(config)
+        deadly.clear()
+        done.clear()
+        if (other, reaches) == (config, robot):
+            monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        swept(other, reaches)
+        assert done == [0, 2, 4, 6]
     with journal_of(SweepConfig(), robot, Console()) as journal:
         assert journal is None, "nothing is written, nothing kept"
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import handmade
 import numpy as np
@@ -109,11 +110,30 @@ def test_a_killed_run_goes_on_after_the_objects_that_were_finished(
     assert reports[0]["objects"] == reports[1]["objects"]
     assert not list(tmp_path.glob(".*")), "no journal is left"
 
-    deadly.append("sugar_box")
-    with pytest.raises(KeyboardInterrupt):
-        run(*arguments, out)
-    deadly.clear()
-    assert "goes on" not in run(*arguments, out, "--seed", 1)
+    def on_gpu():
+        monkeypatch.setattr(module.jax, "default_backend", lambda: "gpu")
+
+    def other_robot():
+        load = module.load_robot
+        another = replace(load(), name="another")
+        monkeypatch.setattr(module, "load_robot", lambda name: another)
+
+    def other_scan():
+        load = module.load_objects
+
+        def changed(*given, **named):
+            return [replace(obj, content_hash="other") for obj in load(*given, **named)]
+
+        monkeypatch.setattr(module, "load_objects", changed)
+
+    for change, flags in ((None, ("--seed", 1)), (on_gpu, ()), (other_robot, ()), (other_scan, ())):
+        deadly.append("sugar_box")
+        with pytest.raises(KeyboardInterrupt):
+            run(*arguments, out)
+        deadly.clear()
+        if change:
+            change()
+        assert "goes on" not in run(*arguments, out, *flags), change
 
 
 def test_an_object_is_kept_to_the_bit(robot):

@@ -77,6 +77,14 @@ def test_nothing_is_left_of_work_of_which_nothing_was_finished(results):
     assert list(results.parent.iterdir()) == []
 
 
+def test_what_is_finished_is_told_at_once(results, backwards):
+    journal, told = Journal(results, {}, "abc"), []
+    named = [(f"job {job}", job) for job in range(3)]
+    got = journaled(Spread(), lambda c, job: job, named, lambda: None, journal, told.append)
+    assert next(got) == 0 and told == [2, 1, 0]
+    journal.close()
+
+
 def test_what_has_the_same_name_is_done_once(results):
     assert _run(results, [1, 2, 1]) == ([2, 4, 2], [1, 2])
 

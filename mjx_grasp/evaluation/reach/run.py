@@ -153,7 +153,7 @@ def journal_of(config: SweepConfig, robot: RobotSpec, console: Console) -> Itera
         yield None
         return
     settings, reaches = to_record(unspread(config)), to_record(robot.identity)
-    made_of = {"config": settings, "robot": reaches}
+    made_of = {"config": settings, "robot": reaches, "device": jax.default_backend()}
     journal = Journal(config.out, made_of, provenance(config.seed)["git"])
     if journal.done:
         console.print(f"{config.out}: goes on after {', '.join(journal.done)}")
@@ -212,20 +212,25 @@ def run_sweep(
             }
             setup = partial(Reaching, asked, lambda at, n: progress.advance(bars[at], n))
         else:
-            bar = progress.add_task(f"poses by {over.processes} processes", total=count)
-            setup = partial(Reaching, asked)
-        results = (
-            spread(over, Reaching.share, shares, setup)
-            if journal is None
-            else map(
-                Reached.from_record, journaled(over, Reaching.share_as_record, jobs, setup, journal)
+            bar = progress.add_task(
+                f"poses by {over.processes} processes", total=count, completed=sum(kept)
             )
-        )
-        found = []
-        for reached in results:
-            found.append(reached)
-            if not over.alone:
-                progress.advance(bar, len(reached.record.ticks))
+            setup = partial(Reaching, asked)
+
+        def show(share: slice) -> None:
+            if not over.alone:  # else it has been told from within
+                progress.advance(bar, share.stop - share.start)
+
+        if journal is None:
+            found = []
+            for share, reached in zip(
+                shares, spread(over, Reaching.share, shares, setup), strict=True
+            ):
+                found.append(reached)
+                show(share)
+        else:
+            records = journaled(over, Reaching.share_as_record, jobs, setup, journal, show)
+            found = [Reached.from_record(record) for record in records]
     record = jax.tree.map(lambda *parts: np.concatenate(parts), *(of.record for of in found))
     errors = [of.least_error for of in found if of.least_error is not None]
     least_error = np.concatenate(errors) if errors else None

@@ -9,7 +9,7 @@ from typing import Any
 from mjx_grasp.handoff.dataset import ARRAYS, HandoffSet
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.records.journal import packed, unpacked
+from mjx_grasp.records.archive import packed, unpacked
 from mjx_grasp.robot.spec import RobotSpec
 
 

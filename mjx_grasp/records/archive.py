@@ -11,6 +11,7 @@ file of the version before is read.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import json
@@ -209,3 +210,16 @@ def _check(path: Path, kind: ArchiveKind[H], header: H, arrays: Arrays) -> None:
         if not np.isfinite(array).all():
             raise FileError(path, f"{name} with numbers that are not finite", "finite numbers")
     kind.check(path, header, arrays)
+
+
+def packed(arrays: Mapping[str, np.ndarray]) -> str:
+    """Arrays as text for a journal's line, to the bit."""
+    file, named = io.BytesIO(), dict[str, Any](arrays)
+    np.savez_compressed(file, **named)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def unpacked(text: str) -> dict[str, Any]:
+    """What `packed` was given."""
+    with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as arrays:
+        return dict(arrays)

@@ -6,15 +6,11 @@ is done before its turn is kept here, so that a run which is killed loses nothin
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
-
-import numpy as np
 
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.provenance import is_committed, versions
@@ -126,16 +122,3 @@ def journaled(
         journal.add(names[k], result)
         told(left[names[k]])
         yield from ready()
-
-
-def packed(arrays: Mapping[str, np.ndarray]) -> str:
-    """Arrays as text for a journal's line, to the bit."""
-    file, named = io.BytesIO(), dict[str, Any](arrays)
-    np.savez_compressed(file, **named)
-    return base64.b64encode(file.getvalue()).decode()
-
-
-def unpacked(text: str) -> dict[str, Any]:
-    """What `packed` was given."""
-    with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as arrays:
-        return dict(arrays)

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from mjx_grasp.records import journal as module
-from mjx_grasp.records.journal import Journal, goes_on, journaled, packed, unpacked
+from mjx_grasp.records.archive import packed, unpacked
+from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import versions
 from mjx_grasp.records.spread import Spread
 

@@ -23,8 +23,9 @@ from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep
+from mjx_grasp.records.archive import packed, unpacked
 from mjx_grasp.records.compilation import compile_seconds
-from mjx_grasp.records.journal import Journal, journaled, packed, unpacked
+from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import Spread, spread, unspread

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copyreg
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ class MjxGraspError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process: made anew from what it says and holds, not from its arguments."""
-        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
+        return type(self).__new__, (type(self), *self.args), vars(self)
 
 
 class InputError(MjxGraspError, ValueError):

@@ -75,6 +75,11 @@ END_TO_END_RUNS = {
         for k in (0, 1)
     },
     "e2e-paced-alone-0": f"{OURS} --ppo.iterations 1500 {PACED}",
+    **{
+        f"e2e-paced-long-{k}": f"{OURS} --ppo.iterations 2300 {HELPED} {PACED} --seed {k}"
+        for k in (0, 1)
+    },
+    "e2e-paced-alone-long-0": f"{OURS} --ppo.iterations 2300 {PACED}",
     "e2e-slow-0": (
         f"{OURS} --ppo.iterations 620 {HELPED} --task.reach-rate 0.5 "
         "--task.action.no-others --task.observation.no-others"
@@ -237,7 +242,7 @@ PARTS = (
                 for script in ("collect_runs", "learning_curves")
             ),
         ),
-        without_gpu="its trainings of 31 to 393 M steps take weeks on a few cores",
+        without_gpu="its trainings of 31 to 603 M steps take weeks on a few cores",
     ),
 )
 LAST = "experiments/make_readme.py"

@@ -3,7 +3,8 @@
 Of the published controller's reaches and of the default's, which follows plans. Side by side: the
 fixed-iteration ADMM of this package (warm-started, float32, batched), qpax (interior point,
 batched, both on whatever device JAX finds) and, where it is installed, OSQP (one problem after
-another on one core). The exact answers are qpax's in float64.
+another on one core). The exact answers are qpax's in float64. On a CPU as many problems are solved
+at once as a sweep solves there: with more of them, those that are in work outgrow the cache.
 
   python benchmarks/qp.py --out FILE.json
 """
@@ -43,6 +44,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reach
 from problems import draw_problems, kkt_residuals, solution_errors
 
 _PERCENTILES = (50, 90, 99, 100)
+_ON_CPU = 128
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class QpBenchmarkConfig(CommandSettings):
     """problems of each, ten ticks apart [-]"""
     iterations: Annotated[tuple[Count, ...], Several()] = (25, 50, 100)
     """of ADMM [-]"""
+    together: Count | None = None
+    """problems at once; by default 128 on a CPU, all of them on an accelerator [-]"""
     repeats: Count = 7
     seed: Seed = 11
 
@@ -93,6 +97,11 @@ def median_seconds(run: Callable[[], Any], repeats: int) -> float:
         jax.block_until_ready(run())
         times.append(time.perf_counter() - start)
     return statistics.median(times)
+
+
+def batched(solve: Callable[[Any], Any], together: int) -> Callable[[Any], Any]:
+    """Of stacked problems, so many at once."""
+    return jax.jit(lambda given: jax.lax.map(solve, given, batch_size=together))
 
 
 def accuracy(problems: QP, x, exact: np.ndarray, ok: np.ndarray) -> dict[str, dict[str, float]]:
@@ -158,12 +167,13 @@ def measure(config: QpBenchmarkConfig, problems: QP, warm: WarmStart) -> dict[st
     violation = np.asarray(jax.vmap(lambda p, x: jnp.max(p.b - p.A @ x))(problems, exact))
     ok = np.isfinite(exact).all(axis=1) & (violation < 1e-4)
     count = len(ok)
+    together = config.together or (count if jax.default_backend() != "cpu" else _ON_CPU)
     rows = []
     for iterations in config.iterations:
         settings = replace(SolverConfig(), iterations=iterations)
-        solve = jax.jit(jax.vmap(lambda p, w, s=settings: solve_qp(p, w, s)))
-        seconds = median_seconds(lambda f=solve: f(problems, warm), config.repeats)
-        found = solve(problems, warm)
+        solve = batched(lambda given, s=settings: solve_qp(*given, s), together)
+        seconds = median_seconds(lambda f=solve: f((problems, warm)), config.repeats)
+        found = solve((problems, warm))
         kkt = kkt_residuals(problems, found.x, found.warm, settings)
         rows.append(
             {
@@ -174,16 +184,15 @@ def measure(config: QpBenchmarkConfig, problems: QP, warm: WarmStart) -> dict[st
             }
         )
 
-    @jax.jit
-    @jax.vmap
     def interior_point(problem):
         scale, row_scale = scales(problem)
         P, q, G, h = _inequalities(problem, scale, row_scale)
         none = jnp.zeros((0, len(q))), jnp.zeros(0)
         return qpax.solve_qp(P, q, *none, G, h, solver_tol=1e-4)[0] * scale
 
-    seconds = median_seconds(lambda: interior_point(problems), config.repeats)
-    x = np.nan_to_num(np.asarray(interior_point(problems)))
+    solve = batched(interior_point, together)
+    seconds = median_seconds(lambda: solve(problems), config.repeats)
+    x = np.nan_to_num(np.asarray(solve(problems)))
     rows.append(
         {
             "solver": "qpax, float32, tolerance 1e-4",
@@ -196,6 +205,7 @@ def measure(config: QpBenchmarkConfig, problems: QP, warm: WarmStart) -> dict[st
         rows.append(other)
     return {
         "problems": count,
+        "together": min(together, count),
         "solvable": int(ok.sum()),
         "variables": problems.A.shape[2],
         "half_spaces": problems.A.shape[1],

@@ -212,8 +212,8 @@ def qp_speed(path: Path) -> str:
     size = d["default"]
     return (
         f"{d['paper']['problems']:,} and {size['problems']:,} problems of {size['variables']} "
-        f"variables and {size['half_spaces']} half-spaces, on {d['provenance']['device']}; the "
-        "exact answers are qpax's in float64:\n\n"
+        f"variables and {size['half_spaces']} half-spaces, {size['together']:,} at once, on "
+        f"{d['provenance']['device']}; the exact answers are qpax's in float64:\n\n"
         + markdown(Table("QP", header, tuple(rows), names=2))
     )
 

@@ -4,8 +4,8 @@ Objects lie at random on the table and are grasped "near the top", "by the handl
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
 distance of the place from the contacts is measured: of those of the first try, of those of the
 last, and of the fingertips when the lift begins. A side may lie on the table; it is asked for all
-the same: how high the place is says so, and how near the nearest contacts are that can be used in
-that pose at all. The shipped policy closes.
+the same: how high the place is says so, how near the nearest contacts are that can be used in that
+pose at all, and how near those of them that hold the object easily. The shipped policy closes.
 `--processes 8` shares them out over as many cores, some trials at a time, and a run that was killed
 goes on after those that it had finished.
 
@@ -41,6 +41,7 @@ from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
+from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
@@ -48,6 +49,9 @@ from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
+from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching.holding import opposing
+from mjx_grasp.reaching.plan_costs import light_enough
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.journal import Journal, journaled
@@ -59,7 +63,7 @@ from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo.run import from_anchor
 
-SCHEMA = "mjx_grasp.steered_grasps/3"
+SCHEMA = "mjx_grasp.steered_grasps/4"
 _TEN = (
     *("potted_meat_can", "sugar_box", "pitcher_base_scaled", "mustard_bottle", "cracker_box"),
     *("bleach_cleanser", "power_drill", "mug", "banana", "pear"),
@@ -142,7 +146,7 @@ def contacts_in_object(
 def rows_of(
     way: str,
     places: list[Place],
-    within: list[float | None],
+    within: list[Nearest],
     names: list[str],
     ran: tuple[GraspEnd, Trace],
     grasper: Grasper,
@@ -165,7 +169,8 @@ def rows_of(
                 "kind": place.kind,
                 "place": place.name,
                 "height_mm": round(1e3 * float(height), 1),
-                "nearest_mm": nearest,
+                "nearest_mm": nearest.usable,
+                "nearest_easy_mm": nearest.easy,
                 "steering": way,
                 "outcome": row.outcome,
                 "force_mean_n": row.force_mean_n,
@@ -184,22 +189,39 @@ def heights_of(places: list[Place], problem: GraspProblem) -> Float[np.ndarray, 
     return np.asarray(problem.p_wo[:, 2] + turned(turn, points)[:, 2])
 
 
-def nearest_usable(
-    heatmap: Heatmap, place: Place, p_wo: Float[np.ndarray, " 3"], quat: Float[np.ndarray, " 4"]
-) -> float | None:
-    """Mean distance of the nearest contacts that the selection would take where the object lies.
+class Nearest(NamedTuple):
+    """Mean distance of the nearest contacts from a place, None if there are none [mm]."""
 
-    Whether there is a posture to reach them is another question [mm].
-    """
-    selection = whole_grasps().selection
+    usable: float | None
+    """of those that the selection would take where the object lies"""
+    easy: float | None
+    """of those of them that hold it easily, see `PlanConfig.easily`"""
+
+
+def nearest_contacts(
+    obj: ObjectModel,
+    heatmap: Heatmap,
+    place: Place,
+    p_wo: Float[np.ndarray, " 3"],
+    quat: Float[np.ndarray, " 4"],
+) -> Nearest:
+    """How near contacts can be at all; whether there is a posture to reach them is not asked."""
+    least, settings = whole_grasps().selection.min_score, whole_grasps(steered=True)
+    assert settings.plan is not None
+    plan, targets = settings.plan, settings.selection.targets
     candidates = vertex_candidates(heatmap)
-    ways = target_options(candidates, selection.targets)
-    R_wo = so3.quat_to_mat(jnp.asarray(quat))
-    high = admissible(candidates, ways, jnp.asarray(p_wo), R_wo, selection.targets)
-    good = candidates.valid & (jnp.asarray(heatmap.score_without_com) >= selection.min_score)
-    usable = np.asarray(high & good[ways.candidate])
-    apart = [_distance(points, place.anchor) for points in np.asarray(ways.position)[usable]]
-    return min((d for d in apart if d is not None), default=None)
+    ways = target_options(candidates, targets)
+    p, R_wo = jnp.asarray(p_wo), so3.quat_to_mat(jnp.asarray(quat))
+    good = candidates.valid & (jnp.asarray(heatmap.score_without_com) >= least)
+    usable = admissible(candidates, ways, p, R_wo, targets) & good[ways.candidate]
+    opposed = usable & opposing(plan.must_hold, ways.position, ways.normal)
+    com, weight = jnp.asarray(obj.com, jnp.float32), jnp.float32(obj.weight)
+    around = Surroundings.still(collision_field(obj), p, R_wo, com, weight)
+    at = p + turned(R_wo, ways.position)
+    easy = opposed & light_enough(plan, plan.easily, opposed, at, around)
+    apart = np.linalg.norm(np.asarray(ways.position) - place.anchor.point, axis=-1).mean(axis=-1)
+    near = (1e3 * apart[np.asarray(counted)] for counted in (usable, easy))
+    return Nearest(*(round(float(some.min()), 1) if some.size else None for some in near))
 
 
 def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | None:
@@ -257,7 +279,7 @@ class Steered:
             if way != DEFAULT:
                 score = steer_to(heatmap, anchor.point, anchor.size)
             known.append(known_object(self._objects[place.index], self._robot, heatmap, score))
-            within.append(nearest_usable(heatmap, place, *pose))
+            within.append(nearest_contacts(self._objects[place.index], heatmap, place, *pose))
         grasper, library = self._grasper(way)
         ran = grasp_all(
             grasper, library, self._physics, stacked(known), problem, None,

@@ -14,7 +14,10 @@ from mjx_grasp.records.table import Table
 _DEFAULT = "default"
 ON_TABLE_MM = 15.0
 """A place nearer to the table lies on it: no fingertip fits between."""
-_APART = ("nearest_mm", "first_mm", "chosen_mm", "achieved_mm")
+_NEAREST = ("nearest_mm", "nearest_easy_mm")
+_APART = ("first_mm", "chosen_mm", "achieved_mm")
+_COMPARED = (("chosen_mm", "nearest_easy_mm"), *((at, at) for at in _APART))
+"""Of a default grasp, and of the steered one from the same pose."""
 Places = list[dict[str, dict[str, Any]]]
 """Of each place the rows by the way of steering."""
 
@@ -100,28 +103,30 @@ def executed(path: Path) -> str:
             continue
         for way, rows in of.items():
             held = sum(row["outcome"] == "success" for row in rows)
-            apart = (_median([row[at] for row in rows]) for at in _APART)
+            apart = (_median([row[at] for row in rows]) for at in (*_NEAREST, *_APART))
             lines.append(
                 (
                     name,
                     f"{len(rows)}",
                     way,
                     *apart,
-                    *("" if way == ways[0] else _nearer(pairs, at) for at in _APART[1:]),
+                    *("" if way == ways[0] else _nearer(pairs, *of) for of in _COMPARED),
                     f"{100 * held / len(rows):.1f}",
                     _median([row["force_mean_n"] for row in rows]),
                 )
             )
     header = (
-        *("places", "grasps", "steering", "nearest mm", "first mm", "last mm", "achieved mm"),
+        *("places", "grasps", "steering", "nearest mm", "nearest easy mm"),
+        *("first mm", "last mm", "achieved mm", "could be nearer %"),
         *("first nearer %", "last nearer %", "achieved nearer %", "lifted and held %", "force N"),
     )
     return markdown(Table("Steered grasps", header, tuple(lines), names=3))
 
 
-def _nearer(pairs: Sequence[Sequence[dict[str, Any]]], at: str) -> str:
-    """In how many pairs the second comes nearer, of those in which both come so far [%]."""
-    both = [(a[at], b[at]) for a, b in pairs if a[at] is not None and b[at] is not None]
+def _nearer(pairs: Sequence[Sequence[dict[str, Any]]], default: str, steered: str) -> str:
+    """In how many pairs the second is nearer, of those in which both come so far [%]."""
+    apart = ((a[default], b[steered]) for a, b in pairs)
+    both = [(a, b) for a, b in apart if a is not None and b is not None]
     return f"{100 * np.mean([b < a for a, b in both]):.0f}" if both else ""
 
 

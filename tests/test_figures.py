@@ -92,25 +92,28 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
 def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
 
-    def row(way, kind, outcome, achieved):
+    def row(way, kind, outcome, achieved, easy=9.0):
         named = {"object": "mug", "kind": kind, "place": "rim", "steering": way}
         named |= {"height_mm": 60.0 if kind == "part" else 3.0}
         return named | {"outcome": outcome, "force_mean_n": 2.0} | {
-            "nearest_mm": 8.0, "first_mm": achieved, "chosen_mm": 10.0, "achieved_mm": achieved,
+            "nearest_mm": 8.0, "nearest_easy_mm": easy,
+            "first_mm": achieved, "chosen_mm": 10.0, "achieved_mm": achieved,
         }  # fmt: skip
 
     rows = [
         row("default", "part", "success", 40.0), row("default", "side", "success", 20.0),
-        row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None),
+        row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None, 11.0),
     ]  # fmt: skip
     path = tmp_path / "grasps.json"
-    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/3", "rows": rows}))
+    path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/4", "rows": rows}))
     lines = script("steering_tables").executed(path).splitlines()[2:]
-    near = "8.0 | 12.0 | 10.0 | 12.0 | 100 | 0 | 100"
-    assert lines[0] == "| parts | 1 | default | 8.0 | 40.0 | 10.0 | 40.0 |  |  |  | 100.0 | 2.0 |"
-    assert lines[1] == f"| parts | 1 | contacts | {near} | 100.0 | 2.0 |"
-    assert lines[5] == f"| all | 2 | contacts | {near} | 50.0 | 2.0 |"
-    only = f"| all that do not lie on the table | 1 | contacts | {near} | 100.0 | 2.0 |"
+    default = "8.0 | 9.0 | 40.0 | 10.0 | 40.0 |  |  |  |  | 100.0 | 2.0"
+    assert lines[0] == f"| parts | 1 | default | {default} |"
+    alone = "8.0 | 9.0 | 12.0 | 10.0 | 12.0 | 100 | 100 | 0 | 100 | 100.0 | 2.0"
+    assert lines[1] == f"| parts | 1 | contacts | {alone} |"
+    both = "8.0 | 10.0 | 12.0 | 10.0 | 12.0 | 50 | 100 | 0 | 100 | 50.0 | 2.0"
+    assert lines[5] == f"| all | 2 | contacts | {both} |"
+    only = f"| all that do not lie on the table | 1 | contacts | {alone} |"
     assert lines[-1] == only
 
 
@@ -123,13 +126,18 @@ def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monk
     good = heatmap.valid & (heatmap.score_without_com >= whole_grasps().selection.min_score)
     for place in module.places_of(0, can)[:2]:
         apart = np.linalg.norm(contacts[good] - place.anchor.point, axis=2).mean(axis=1)
-        high = module.nearest_usable(heatmap, place, np.float32([0.5, 0.0, 0.5]), IDENTITY)
+
+        def nearest(height, place=place):
+            return module.nearest_contacts(
+                can, heatmap, place, np.float32([0.5, 0.0, height]), IDENTITY
+            )
+
+        high, easy = nearest(0.5)
         assert high == pytest.approx(1e3 * apart.min(), abs=6.0)  # wraps turn with the reach axis
+        assert high <= easy <= 1e3 * apart.max() + 6.0
         low = float(can.mesh.vertices[:, 2].min())
-        there = module.nearest_usable(heatmap, place, np.float32([0.5, 0.0, -low]), IDENTITY)
-        assert there >= high
-        under = np.float32([0.5, 0.0, -0.5])
-        assert module.nearest_usable(heatmap, place, under, IDENTITY) is None
+        assert nearest(-low).usable >= high
+        assert nearest(-0.5) == (None, None)
 
 
 def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):

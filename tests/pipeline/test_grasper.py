@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,35 +16,19 @@ from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
-from mjx_grasp.grasp.candidates import cylinder_candidates, first_and_rest
-from mjx_grasp.grasp.targets import admissible, target_options
-from mjx_grasp.heatmap.compute import heatmap_of
-from mjx_grasp.heatmap.steering import steer_to
-from mjx_grasp.objects.model import load_objects
+from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.pipeline.assemble import (
-    CANDIDATES,
-    STEERED_AT_LEAST,
-    STEERED_SCORE,
-    check_graspable,
     grasper_of,
-    known_object,
-    known_objects,
-    steered_candidates,
-    steered_scores,
-    whole_grasps,
 )
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known, Seen, Tried
-from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching import admm
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint
-from mjx_grasp.reaching.plan_config import PlanConfig
-from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.tasks.closing import ClosingTask
@@ -541,235 +524,6 @@ def test_weight_and_load_may_raise_the_grip_of_a_whole_grasp_as_far_as_fingers_c
         closing = replace(trained, grip=replace(REACTING, most=own))
         made = grasper_of(robot, closing, config=GrasperConfig(most=asked))
         assert made.closer.config.grip.most == expected
-
-
-@pytest.mark.parametrize("upside", [1.0, -1.0])
-def test_a_flat_can_on_its_face_has_contacts_at_its_side_that_the_hand_can_use(robot, upside):
-    """Its best contacts, and most of all others, are too near the table."""
-    (can,) = load_objects(("tuna_fish_can",))
-    candidates, targets = known_object(can, robot).candidates, whole_grasps().selection.targets
-    R_wo = jnp.diag(jnp.array([1.0, upside, upside]))
-    p_wo = jnp.array([0.5, 0.0, -float((upside * can.mesh.vertices[:, 2]).min())])
-    options = target_options(candidates, targets)
-    usable = np.asarray(options.candidate)[admissible(candidates, options, p_wo, R_wo, targets)]
-    around = np.linalg.norm(np.asarray(candidates.axis)[usable, :2], axis=1) > 0.9
-    assert len(np.unique(usable[around])) > 10
-
-
-@pytest.mark.wrong_types
-def test_steered_scores_count_from_half_of_the_best_and_no_fewer_than_some():
-    heatmap = SimpleNamespace(valid=jnp.arange(200) != 3)
-    few = jnp.exp(-0.2 * jnp.arange(200.0)).at[3].set(5.0)
-    scaled = np.asarray(steered_scores(heatmap, few))
-    assert (scaled[np.arange(200) != 3] >= STEERED_SCORE).sum() == STEERED_AT_LEAST[0]
-    assert scaled.max() == 1 and (np.diff(np.delete(scaled, 3)) <= 0).all()
-    many = jnp.linspace(0.2, 0.1, 200)
-    np.testing.assert_allclose(steered_scores(heatmap, many), many / 0.2, rtol=1e-6)
-    assert not np.any(steered_scores(heatmap, jnp.zeros(200)))
-    # Where there are fewer, they keep their order, however many have none.
-    scored = jnp.where((jnp.arange(200) < 21) & heatmap.valid, few, 0.0)
-    scaled = np.asarray(steered_scores(heatmap, scored))
-    assert (scaled >= STEERED_SCORE).sum() == 20 and len(np.unique(scaled[scaled < 1])) > 3
-
-
-class _Seen(NamedTuple):
-    """What candidates are made of."""
-
-    thumb: jax.Array
-    normals: jax.Array
-    wrap: jax.Array
-    wrap_normals: jax.Array
-    axis: jax.Array
-    width: jax.Array
-    score: jax.Array
-    valid: jax.Array
-
-
-@pytest.mark.wrong_types
-def test_most_of_a_steered_grasps_candidates_are_the_anchors_best():
-    n, some = 40, jnp.arange(40)
-    points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
-    wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))
-    own = jnp.linspace(0.1, 1.0, n)  # the anchor is at the other end
-    heatmap = _Seen(points, points, wrap, wrap, points, jnp.ones(n), own, some != 39)
-    found = steered_candidates(heatmap, own[::-1] ** 40, 16, at_least=1)
-    chosen = np.asarray(found.thumb[:, 0]).astype(int)
-    assert chosen.tolist() == [*range(12), *range(38, 34, -1)] and np.all(found.valid)
-    assert found.score[0] == 1 and np.all(np.diff(found.score[:12]) < 0)
-    assert not np.any(found.score[12:])
-
-
-def _steered_to_an_end(robot, name, end):
-    """The planner of steered grasps, and what is known of a can whose one end is asked for."""
-    (can,) = load_objects((name,))
-    heatmap = heatmap_of(can, robot.hand)
-    anchor = np.array([0.0, 0.0, float(end(can.mesh.vertices[:, 2]))])
-    known = known_object(can, robot, heatmap, steer_to(heatmap, anchor))
-    return grasper_of(robot, reaching=whole_grasps(steered=True)).planner, known, can.mesh.vertices
-
-
-def test_objects_are_known_together_as_one_by_one_and_of_the_best_candidates(robot):
-    objects = load_objects(["rubiks_cube", "tuna_fish_can"])
-    for obj, found in zip(objects, known_objects(objects, robot), strict=True):
-        alone = known_object(obj, robot)
-        jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), found, alone)
-        # The heatmap's own choice, without what sizes are filled up with.
-        heatmap = heatmap_of(obj, robot.hand)
-        plain = first_and_rest(heatmap, None, CANDIDATES - CANDIDATES // 4, CANDIDATES)
-        ours = alone.candidates
-        kept = np.asarray(ours.valid)
-        assert kept.sum() == plain.valid.sum() and not np.asarray(ours.score)[~kept].any()
-        np.testing.assert_allclose(ours.thumb[kept], plain.thumb[plain.valid])
-        np.testing.assert_allclose(ours.score[kept], plain.score[plain.valid], atol=1e-6)
-
-
-def test_near_an_anchor_on_the_table_those_are_looked_for_that_can_be_used(robot):
-    """A can stands on the face that is asked for: none of the nearest candidates is high enough."""
-    planner, known, vertices = _steered_to_an_end(robot, "tomato_soup_can", np.min)
-    p_wo = jnp.array([0.5, 0.0, -float(vertices[:, 2].min())])
-    around = Surroundings.still(known.shape, p_wo, jnp.eye(3))
-    targets = planner.reacher.selection.targets
-    options = target_options(known.candidates, targets)
-    high = np.asarray(admissible(known.candidates, options, p_wo, jnp.eye(3), targets))
-    usable = np.isin(np.arange(len(known.candidates.score)), options.candidate[high])
-    score = np.asarray(known.candidates.score)
-    assert not np.any(usable & (score >= STEERED_SCORE))
-    near, held, easy = planner._wish(known.candidates, around)
-    least, easy = [float(x) for x in near], np.asarray(easy)
-    assert len(least) == len(STEERED_AT_LEAST) and least[0] >= least[-1] > 0
-    for count, bound in zip(STEERED_AT_LEAST, least, strict=True):
-        found = usable & (score >= bound)
-        assert min(count, usable[score > 0].sum()) <= found.sum()
-        assert (usable & (score > bound)).sum() < count
-    # Upright it is held as easily at every height.
-    np.testing.assert_allclose(held, least[0], rtol=1e-6)
-    assert easy.any() and not np.any(easy & ~usable)
-    standing = Surroundings.still(known.shape, p_wo + jnp.array([0.0, 0.0, 0.3]), jnp.eye(3))
-    assert planner._wish(known.candidates, standing)[0][0] == STEERED_SCORE
-
-
-def test_near_the_end_of_what_lies_those_that_hold_it_easily_are_nearer_to_its_middle(robot):
-    planner, known, vertices = _steered_to_an_end(robot, "chips_can", np.max)
-    lying = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    p_wo = jnp.array([0.5, 0.0, float(vertices[:, 0].max())])
-    around = Surroundings.still(known.shape, p_wo, lying, known.com, known.weight)
-    near, held, easy = planner._wish(known.candidates, around)
-    assert 0 < held < 0.1 * near[0]
-    first = np.asarray(known.candidates.score) >= float(near[0])
-    along = np.abs(np.asarray(known.candidates.thumb)[:, 2] - float(known.com[2]))
-    assert along[np.asarray(easy)].max() < along[first].min()
-
-
-class _Finds(Planner):
-    """Finds a posture for every candidate of enough score that its `thumb` says is within reach."""
-
-    def _search(self, library, candidates, light, around, q, key):
-        least = self.reacher.selection.min_score
-        possible = (candidates.score >= least) & (candidates.thumb[:, 0] > 0)
-        cost = jnp.where(possible, 1.0 + 0.1 * jnp.arange(len(possible)), 1e4)
-        best = jnp.argsort(cost)[:2]
-        return _Found(cost[best], best)
-
-
-class _Found(NamedTuple):
-    cost: jax.Array
-    plans: jax.Array
-
-
-@pytest.mark.wrong_types
-def test_lesser_candidates_are_looked_at_only_where_the_better_ones_are_out_of_reach():
-    selection = SimpleNamespace(min_score=0.5)
-    planner = _Finds(
-        SimpleNamespace(selection=selection), replace(PlanConfig(), lesser_scores=(0.1, 0.0))
-    )
-    score = jnp.array([0.05, 0.2, 0.6, 0.9])
-    valid = jnp.ones(4, bool)
-
-    @jax.jit
-    def search(reachable):
-        candidates = SimpleNamespace(score=score, valid=valid, thumb=reachable[:, None])
-        candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
-        return planner.search(0, candidates, None, None, None)
-
-    for reachable, expected in (
-        ([1, 1, 0, 1], 3), ([1, 1, 1, 1], 2), ([1, 1, 0, 0], 1), ([1, 0, 0, 0], 0),
-    ):  # fmt: skip
-        assert search(jnp.array(reachable)).plans[0] == expected
-    assert search(jnp.zeros(4, int)).cost[0] == 1e4, "nothing is within reach at all"
-
-
-@pytest.mark.wrong_types
-@pytest.mark.parametrize(("costs", "expected"), [((5, 30), 5), ((5, 14), 14), ((40, 30), 30)])
-def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs, expected):
-    """Of a candidate with a low score and of one with a high score."""
-
-    class Costly(_Finds):
-        def _search(self, library, candidates, light, around, q, key):
-            cost = jnp.where(candidates.score >= 0.5, jnp.array(costs, float), 1e4)
-            return _Found(jnp.sort(cost)[:2], jnp.argsort(cost)[:2])
-
-    planner = Costly(
-        SimpleNamespace(selection=SimpleNamespace(min_score=0.5)),
-        replace(PlanConfig(), lesser_scores=(0.0,), lesser_cost=15.0),
-    )
-    candidates = SimpleNamespace(score=jnp.array([0.1, 0.9]), valid=jnp.ones(2, bool))
-    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
-    assert planner.search(0, candidates, None, None, None).cost[0] == expected
-
-
-@pytest.mark.wrong_types
-@pytest.mark.parametrize(
-    ("reachable", "failures", "expected"),
-    [
-        *[((1, 1, 1, 1), 0, 3), ((1, 1, 1, 0), 0, 2), ((1, 1, 0, 0), 0, 0)],
-        *[((1, 1, 1, 1), 1, 2), ((1, 1, 0, 1), 1, 3), ((1, 1, 1, 1), 2, 0), ((1, 1, 1, 1), 3, 0)],
-    ],
-)
-def test_a_wish_is_given_up_step_by_step_and_further_after_each_grasp_that_failed(
-    reachable, failures, expected
-):
-    """Where all count, the first one costs least; the third holds the object easily."""
-
-    class Wishes(_Finds):
-        def _wish(self, candidates, around):
-            scores = [jnp.float32(0.5), jnp.float32(0.2)]
-            return scores, jnp.float32(0.1), jnp.arange(4) == 2
-
-    config = PlanConfig(at_least=(1, 2), lesser_scores=(0.0,), heavier=1.25, easily=1.45)
-    planner = Wishes(SimpleNamespace(selection=SimpleNamespace(min_score=0.5)), config)
-    candidates = SimpleNamespace(
-        score=jnp.array([0.0, 0.1, 0.3, 0.9]),
-        valid=jnp.ones(4, bool),
-        thumb=jnp.array(reachable)[:, None],
-    )
-    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
-    found = planner.search(0, candidates, None, None, None, failures)
-    assert found.plans[0] == expected
-
-
-@pytest.mark.wrong_types
-@pytest.mark.parametrize(("costs", "expected"), [((5, 3), 5), ((20, 3), 3), ((20, 30), 20)])
-def test_contacts_that_ask_for_little_force_are_looked_for_first(costs, expected):
-    """What is found among them, and among all."""
-
-    class Costly(_Finds):
-        def _search(self, library, candidates, light, around, q, key):
-            cost = jnp.where(light, *jnp.array(costs, float))
-            return _Found(cost[None], jnp.zeros(1, int))
-
-    planner = Costly(
-        SimpleNamespace(selection=SimpleNamespace(min_score=0.5)),
-        replace(PlanConfig(), heavier=1.25, lesser_cost=15.0),
-    )
-    candidates = SimpleNamespace(score=jnp.array([0.9]), valid=jnp.ones(1, bool))
-    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
-    assert planner.search(0, candidates, None, None, None).cost[0] == expected
-
-
-def test_an_object_that_can_be_grasped_nowhere_is_refused_by_name_with_the_hands_span(robot):
-    check_graspable("a mug", 0.1, robot.hand)
-    with pytest.raises(InputError, match=r"object: found 'crate\.stl', expected one with a place"):
-        check_graspable("crate.stl", 0.0, robot.hand)
 
 
 def test_a_start_is_of_the_type_of_what_follows_so_that_a_loop_compiles_once(make, known, home):

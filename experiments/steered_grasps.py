@@ -41,7 +41,6 @@ from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
-from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
@@ -50,9 +49,7 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.holding import opposing
-from mjx_grasp.reaching.plan_costs import light_enough
-from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.reaching.planning import held_easily, start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -199,7 +196,7 @@ class Nearest(NamedTuple):
 
 
 def nearest_contacts(
-    obj: ObjectModel,
+    known: Known,
     heatmap: Heatmap,
     place: Place,
     p_wo: Float[np.ndarray, " 3"],
@@ -214,11 +211,8 @@ def nearest_contacts(
     p, R_wo = jnp.asarray(p_wo), so3.quat_to_mat(jnp.asarray(quat))
     good = candidates.valid & (jnp.asarray(heatmap.score_without_com) >= least)
     usable = admissible(candidates, ways, p, R_wo, targets) & good[ways.candidate]
-    opposed = usable & opposing(plan.must_hold, ways.position, ways.normal)
-    com, weight = jnp.asarray(obj.com, jnp.float32), jnp.float32(obj.weight)
-    around = Surroundings.still(collision_field(obj), p, R_wo, com, weight)
-    at = p + turned(R_wo, ways.position)
-    easy = opposed & light_enough(plan, plan.easily, opposed, at, around)
+    around = Surroundings.still(known.shape, p, R_wo, known.com, known.weight)
+    easy = held_easily(plan, ways, usable, around)
     apart = np.linalg.norm(np.asarray(ways.position) - place.anchor.point, axis=-1).mean(axis=-1)
     near = (1e3 * apart[np.asarray(counted)] for counted in (usable, easy))
     return Nearest(*(round(float(some.min()), 1) if some.size else None for some in near))
@@ -279,7 +273,7 @@ class Steered:
             if way != DEFAULT:
                 score = steer_to(heatmap, anchor.point, anchor.size)
             known.append(known_object(self._objects[place.index], self._robot, heatmap, score))
-            within.append(nearest_contacts(self._objects[place.index], heatmap, place, *pose))
+            within.append(nearest_contacts(known[-1], heatmap, place, *pose))
         grasper, library = self._grasper(way)
         ran = grasp_all(
             grasper, library, self._physics, stacked(known), problem, None,

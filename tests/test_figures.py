@@ -18,7 +18,7 @@ from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.records.spread import Spread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.training.config import settings_of
@@ -120,8 +120,9 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
 def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     module = script("steered_grasps")
-    (can,) = load_objects(("tuna_fish_can",))
-    heatmap = heatmap_of(can, load_robot().hand)
+    (can,), robot = load_objects(("tuna_fish_can",)), load_robot()
+    heatmap = heatmap_of(can, robot.hand)
+    known = known_object(can, robot, heatmap)
     contacts = np.concatenate([heatmap.thumb[:, None], heatmap.wrap], axis=1)
     good = heatmap.valid & (heatmap.score_without_com >= whole_grasps().selection.min_score)
     for place in module.places_of(0, can)[:2]:
@@ -129,7 +130,7 @@ def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monk
 
         def nearest(height, place=place):
             return module.nearest_contacts(
-                can, heatmap, place, np.float32([0.5, 0.0, height]), IDENTITY
+                known, heatmap, place, np.float32([0.5, 0.0, height]), IDENTITY
             )
 
         high, easy = nearest(0.5)
@@ -138,6 +139,19 @@ def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monk
         low = float(can.mesh.vertices[:, 2].min())
         assert nearest(-low).usable >= high
         assert nearest(-0.5) == (None, None)
+
+
+def test_the_end_of_what_lies_is_held_less_easily_than_its_middle(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, robot = script("steered_grasps"), load_robot()
+    (can,) = load_objects(("chips_can",))
+    heatmap = heatmap_of(can, robot.hand)
+    known = known_object(can, robot, heatmap)
+    lying = np.float32([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0])
+    p_wo = np.float32([0.5, 0.0, can.mesh.vertices[:, 0].max()])
+    places = {place.name: place for place in module.places_of(0, can)}
+    usable, easy = module.nearest_contacts(known, heatmap, places["top"], p_wo, lying)
+    assert easy > usable + 20.0
 
 
 def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):

@@ -103,6 +103,22 @@ def _opposing(plan: PlanConfig, options: TargetOptions) -> Bool[Array, " o"]:
     return opposing(plan.must_hold, options.position, options.normal)
 
 
+def held_easily(
+    plan: PlanConfig, options: TargetOptions, usable: Bool[Array, " o"], around: Surroundings
+) -> Bool[Array, " o"]:
+    """Which contacts hold the object easily, of those that can be used: see `PlanConfig.easily`.
+
+    Args:
+        plan: The search's settings.
+        options: Contacts, object frame.
+        usable: Which can be used where the object lies.
+        around: The object.
+    """
+    opposed = usable & _opposing(plan, options)
+    at = around.p_wo + options.position @ around.R_wo.T
+    return opposed & light_enough(plan, plan.easily, opposed, at, around)
+
+
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Planner:
@@ -191,9 +207,7 @@ class Planner:
         options = target_options(candidates, targets)
         high = admissible(candidates, options, around.p_wo, around.R_wo, targets)
         high &= candidates.valid[options.candidate]
-        holds = high & _opposing(plan, options)
-        at = around.p_wo + options.position @ around.R_wo.T
-        holds &= light_enough(plan, plan.easily, holds, at, around)
+        holds = held_easily(plan, options, high, around)
 
         def scores(counted: Bool[Array, " o"], numbers: tuple[int, ...]) -> list[Float[Array, ""]]:
             usable = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(counted)

@@ -75,13 +75,13 @@ def _paced(word: str, iterations: int) -> dict[str, str]:
     return helped | {f"e2e-paced-alone{word}-0": f"{ours} {PACED}"}
 
 
-CUT_SHORT = _paced("", 1500)
-"""What others go on with: not drawn."""
+SHORTER = _paced("", 1500)
+"""Others of the same settings go on for longer: these are not drawn."""
 END_TO_END_RUNS = {
     **{f"e2e-paper-{k}": f"{AS_PUBLISHED} --seed {k}" for k in (0, 1)},
     **{f"e2e-helped-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} --seed {k}" for k in (0, 1)},
     "e2e-alone-0": f"{OURS} --ppo.iterations 1500",
-    **CUT_SHORT,
+    **SHORTER,
     **_paced("-long", 2300),
     "e2e-slow-0": (
         f"{OURS} --ppo.iterations 620 {HELPED} --task.reach-rate 0.5 "
@@ -92,7 +92,7 @@ END_TO_END_RUNS = {
     ),
 }
 """How each is trained."""
-DRAWN = [run for run in END_TO_END_RUNS if run not in CUT_SHORT]
+DRAWN = [run for run in END_TO_END_RUNS if run not in SHORTER]
 """Whose curves are drawn."""
 
 

@@ -77,12 +77,19 @@ def _paced(word: str, iterations: int) -> dict[str, str]:
 
 SHORTER = _paced("", 1500)
 """Others of the same settings go on for longer: these are not drawn."""
+EARLIER = {
+    f"{run.replace('-long', '-early')}": f"{train} --task.curriculum.until 0.4"
+    for run, train in _paced("-long", 2300).items()
+    if "alone" not in run
+}
+"""The whole way is trained on from half as many iterations on."""
 END_TO_END_RUNS = {
     **{f"e2e-paper-{k}": f"{AS_PUBLISHED} --seed {k}" for k in (0, 1)},
     **{f"e2e-helped-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} --seed {k}" for k in (0, 1)},
     "e2e-alone-0": f"{OURS} --ppo.iterations 1500",
     **SHORTER,
     **_paced("-long", 2300),
+    **EARLIER,
     "e2e-slow-0": (
         f"{OURS} --ppo.iterations 620 {HELPED} --task.reach-rate 0.5 "
         "--task.action.no-others --task.observation.no-others"

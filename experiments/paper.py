@@ -76,7 +76,6 @@ def _paced(word: str, iterations: int) -> dict[str, str]:
 
 
 SHORTER = _paced("", 1500)
-"""Others of the same settings go on for longer: these are not drawn."""
 EARLIER = {
     f"{run.replace('-long', '-early')}": f"{train} --task.curriculum.until 0.4"
     for run, train in _paced("-long", 2300).items()
@@ -99,8 +98,8 @@ END_TO_END_RUNS = {
     ),
 }
 """How each is trained."""
-DRAWN = [run for run in END_TO_END_RUNS if run not in SHORTER]
-"""Whose curves are drawn."""
+DRAWN = [run for run in END_TO_END_RUNS if run not in SHORTER | EARLIER]
+"""Whose curves are drawn: of those with the slower arm the long ones."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ help:
 	@echo "make train      set up, train the preset of this hardware, evaluate, write a report"
 	@echo "                (ARGS='--preset paper' passes arguments on)"
 	@echo "make demo       set up, grasp a can by its top, write demo/index.html"
-	@echo "make test       set up and run the tests; make test-long runs those that take minutes"
+	@echo "make test       set up and run the tests; make test-long runs the long ones"
 	@echo "make setup      make the environment in .venv (EXTRAS=$(EXTRAS), PYTHON=$(PYTHON))"
 	@echo "make lint       style and types"
 	@echo "make docs       build the documentation into site/"

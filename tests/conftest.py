@@ -38,17 +38,24 @@ SUBSTEPS = 5
 # with them at the end. The order is that of measured times; what is not named follows.
 LONGEST_FIRST = (
     "test_grasper.py",
+    "test_closing_task.py",
     "test_commands.py",
-    "test_docs.py",
-    "test_reactivity.py",
     "test_training.py",
-    "test_planning.py",
-    "test_handoff_generation.py",
-    "test_end_to_end.py",
     "test_controller.py",
+    "test_reactivity.py",
+    "test_closer.py",
+    "test_planning.py",
+    "test_ik.py",
+    "test_heatmaps_command.py",
     "test_devices.py",
+    "test_end_to_end_helped.py",
+    "test_refusals.py",
+    "test_readme.py",
+    "test_signed_distance.py",
+    "test_handoff_generation.py",
+    "test_viewer.py",
+    "test_end_to_end.py",
     "test_mjx.py",
-    "test_backends.py",
 )
 
 

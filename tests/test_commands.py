@@ -88,6 +88,7 @@ def test_a_training_leaves_everything_behind(trained):
     assert "foam" in (trained / "report.html").read_text()
 
 
+@pytest.mark.long
 def test_a_finished_run_resumes_to_the_same_policy(trained):
     before = (trained / "policy.npz").read_bytes()
     config = json.loads((trained / "config.json").read_text())
@@ -232,6 +233,7 @@ def test_evaluate_writes_rows_of_the_stated_condition(tmp_path):
     assert results.extra["sha256"] == {"handoffs": handoffs}
 
 
+@pytest.mark.long
 def test_evaluate_runs_a_grip_that_feels_in_a_poor_robot(tmp_path):
     out = tmp_path / "grip.json"
     done = command(

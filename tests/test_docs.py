@@ -51,6 +51,7 @@ def site(tmp_path_factory):
     return {path.relative_to(out): Page(path) for path in out.rglob("*.html")}, out
 
 
+@pytest.mark.long
 def test_links_lead_somewhere_and_nothing_is_loaded_from_elsewhere(site):
     pages, out = site
     for path, page in pages.items():
@@ -66,6 +67,7 @@ def test_links_lead_somewhere_and_nothing_is_loaded_from_elsewhere(site):
                 assert unquote(to.fragment) in found.anchors, f"{path}: {link}"
 
 
+@pytest.mark.long
 def test_every_public_name_is_in_the_reference(site):
     pages, _ = site
     anchors = set().union(*(page.anchors for page in pages.values()))
@@ -75,6 +77,7 @@ def test_every_public_name_is_in_the_reference(site):
         assert any(link.endswith(f"#{module}.{name}") for link in listed), name
 
 
+@pytest.mark.long
 def test_every_module_is_in_the_reference(site):
     pages, _ = site
     anchors = set().union(*(page.anchors for page in pages.values()))
@@ -83,6 +86,7 @@ def test_every_module_is_in_the_reference(site):
             assert f"module-{module_name(path)}" in anchors
 
 
+@pytest.mark.long
 def test_every_command_is_on_its_page(site):
     pages, _ = site
     text = pages[Path("commands.html")].text
@@ -92,6 +96,7 @@ def test_every_command_is_on_its_page(site):
     assert {f"mjx_grasp.{name}" for name in shown} == {module_name(path) for path in COMMANDS}
 
 
+@pytest.mark.long
 def test_equations_are_there_without_a_script(site):
     pages, _ = site
     method = pages[Path("method.html")].text

@@ -45,6 +45,7 @@ def test_another_robot_reaches(capsys):
     assert outcome is module.ReachOutcome.HANDOFF, capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_another_library_trains_a_policy_that_is_one_here(tmp_path, capsys):
     pytest.importorskip("skrl")
     example("gym_training").main(tmp_path, iterations=2, worlds=4)

@@ -117,6 +117,7 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
     assert lines[-1] == only
 
 
+@pytest.mark.long
 def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     module = script("steered_grasps")
@@ -141,6 +142,7 @@ def test_the_nearest_usable_contacts_are_the_nearest_of_all_high_in_the_air(monk
         assert nearest(-0.5) == (None, None)
 
 
+@pytest.mark.long
 def test_the_end_of_what_lies_is_held_less_easily_than_its_middle(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     module, robot = script("steered_grasps"), load_robot()
@@ -247,6 +249,7 @@ def test_a_folder_without_scans_is_refused(tmp_path, monkeypatch):
         pieces.main(pieces.PiecesConfig(tmp_path / "out.json", objects_dir=tmp_path))
 
 
+@pytest.mark.long
 def test_the_engines_are_timed_and_compared(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     benchmark, out = script("engines", "benchmarks"), tmp_path / "engines.json"
@@ -428,6 +431,7 @@ def sensitivity(tmp_path, monkeypatch, committed):
     return SimpleNamespace(module=module, noted=noted, config=config)
 
 
+@pytest.mark.long
 def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivity):
     sensitivity.module.main(sensitivity.config)
     seen, numbers = [], ("friction", "mass_scale", "stiffness", "torque")
@@ -454,6 +458,7 @@ def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivit
     assert len(grip["nominal"]) == 2 and "stiffness" not in grip
 
 
+@pytest.mark.long
 def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sensitivity):
     module, noted, config = sensitivity.module, sensitivity.noted, sensitivity.config
     module.stop_at = 8  # the second controller's factor after the nominal trials

@@ -173,7 +173,7 @@ def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_pat
     assert np.allclose(load_heatmap(tmp_path / "top" / "slab.npz").info.anchor, [0, 0, 0.06])
 
 
-@pytest.mark.parametrize("steering", ["contacts", "axis"])
+@pytest.mark.parametrize("steering", ["contacts", pytest.param("axis", marks=pytest.mark.long)])
 def test_a_part_of_a_mesh_steers_by_its_size_or_as_published(tmp_path, steering):
     slab().export(tmp_path / "slab.obj")
     part = "parts: {grip: {at: [0.03, 0.0, 0.04], size: [0.03, 0.05, 0.05]}}"

@@ -100,6 +100,7 @@ def test_states_that_no_force_holds_are_counted(tables, tmp_path):
     assert lines == [["mug", "2.0", "75"], ["bowl", "", "0"], ["mean", "", "37.5"]]
 
 
+@pytest.mark.long
 def test_heavy_objects_are_gripped_harder_and_by_stronger_fingers(tables, tmp_path):
     script, out = importlib.import_module("heavy_objects"), tmp_path / "heavy.json"
     script.main(

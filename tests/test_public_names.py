@@ -26,6 +26,7 @@ def test_no_name_is_that_of_a_module() -> None:
     assert not modules & set(mjx_grasp._PUBLIC)
 
 
+@pytest.mark.long
 def test_a_type_checker_knows_the_types(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     script = tmp_path / "script.py"

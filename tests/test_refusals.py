@@ -111,7 +111,10 @@ def sampled(kind):
         yield flag, *tried[k % len(tried)]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(c, marks=pytest.mark.long) if c == "train" else c for c in COMMANDS],
+)
 def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused):
     kind, needed = COMMANDS[command]
     tried = list(sampled(kind))

@@ -123,6 +123,7 @@ def test_bad_settings_are_refused(experiments, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_one_object_is_felt_drawn_and_told_of(experiments, tmp_path, monkeypatch):
     import sensed_forces
     import sensing_tables

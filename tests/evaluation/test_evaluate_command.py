@@ -126,6 +126,7 @@ def test_policies_of_another_task_or_robot_are_refused_by_name(monkeypatch, chan
         evaluate(EvaluateConfig(out=Path("x.json"), objects=("foam_brick",), policy=path))
 
 
+@pytest.mark.long
 def test_rows_say_how_many_of_their_trials_began_from_reached_states(tmp_path):
     path, names = tmp_path / "mixed.npz", ["foam_brick"]
     stored = load_handoffs(shipped_handoffs(None)).select(names)

@@ -163,7 +163,7 @@ def _angles(first, second):
     return np.rad2deg(np.arctan2(sine, np.sum(first * second, axis=1)))
 
 
-@pytest.mark.parametrize("name", ["tomato_soup_can", "mug"])
+@pytest.mark.parametrize("name", [pytest.param("tomato_soup_can", marks=pytest.mark.long), "mug"])
 def test_normals_of_a_field(name):
     """Slopes of its own distances, and directions of trimesh's nearest points, nearly of length 1.
 

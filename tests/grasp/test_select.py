@@ -283,6 +283,7 @@ def test_each_direction_has_its_turn_with_its_best_first(flat_heatmap):
         assert np.all(np.diff(own) <= 0)
 
 
+@pytest.mark.long
 def test_an_object_on_its_best_faces_has_candidates_among_the_rest(flat_heatmap):
     lying, config = (jnp.asarray([0.5, 0.0, 0.0175]), jnp.eye(3)), TargetConfig()
 

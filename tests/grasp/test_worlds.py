@@ -75,6 +75,7 @@ def _written(c, hand, p, R):
     return np.where(usable & (room >= 0), cost, np.inf), np.where(usable, np.abs(room), np.inf)
 
 
+@pytest.mark.long
 def test_thousands_of_worlds_of_several_objects(objects, worlds):
     @partial(jax.vmap, in_axes=(None, 0, 0, 0, 0))
     def choose(objects, number, hand, p, R):

@@ -176,6 +176,7 @@ def test_states_are_spread_over_poses_and_candidates(generated, config):
     assert len(thumbs) >= WANTED // 2
 
 
+@pytest.mark.long
 def test_the_seed_decides_everything_and_other_objects_nothing(generated, generator, brick):
     first, _ = generated
     other, _ = generator.generate(load_object("rubiks_cube"))
@@ -229,6 +230,7 @@ def written(tmp_path_factory):
     return out, done.stdout
 
 
+@pytest.mark.long
 def test_the_command_writes_a_set_and_its_report(written):
     out, said = written
     assert load_handoffs(out, [load_object("foam_brick")]).counts() == {"foam_brick": 6}

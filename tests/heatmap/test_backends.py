@@ -37,7 +37,7 @@ def agreement(a, b):
     return score.mean(), (contacts | ~a.valid).mean()
 
 
-@pytest.mark.parametrize("name", ["mug", "power_drill"])
+@pytest.mark.parametrize("name", ["mug", pytest.param("power_drill", marks=pytest.mark.long)])
 def test_backends_agree_on_stand_ins(name):
     (bvh,), (brute,) = by("bvh", stand_in(name)), by("brute", stand_in(name))
     scores, contacts = agreement(bvh, brute)
@@ -73,7 +73,7 @@ def test_backends_agree_on_every_scan():
         assert scores >= 0.999 and contacts >= 0.999, file.name
 
 
-@pytest.mark.parametrize("backend", ["bvh", "brute"])
+@pytest.mark.parametrize("backend", ["bvh", pytest.param("brute", marks=pytest.mark.long)])
 def test_meshes_of_different_sizes_at_once_equal_one_by_one(backend):
     meshes = [
         trimesh.creation.box([0.04, 0.06, 0.1]),

@@ -17,7 +17,9 @@ from mjx_grasp.language.pointing import along_ray, anchor_at, depth_at
 SCENE = Path(__file__).with_name("render_scene.py")
 
 
-@pytest.fixture(scope="module", params=["mug", "mustard_bottle"])
+@pytest.fixture(
+    scope="module", params=["mug", pytest.param("mustard_bottle", marks=pytest.mark.long)]
+)
 def rendered(request, tmp_path_factory):
     """What the script wrote: a target with its view, and which geom each pixel shows."""
     out = tmp_path_factory.mktemp("rendered") / f"{request.param}.npz"

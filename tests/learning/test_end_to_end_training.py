@@ -77,6 +77,7 @@ def test_the_level_rises_with_the_iterations_and_is_logged(run):
     assert all(float(row["broken_worlds"]) == 0 for row in rows(folder))
 
 
+@pytest.mark.long
 def test_a_resumed_training_goes_on_as_if_nothing_had_been(env, run, tmp_path):
     _, last, kept = run
     again = train_loop(tmp_path, kept, env, PPO, LoopConfig(), tiny.CONFIG)

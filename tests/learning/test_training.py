@@ -119,6 +119,7 @@ def test_long_gradients_are_shortened_and_the_rate_is_the_configured_one():
     np.testing.assert_allclose(updates["w"], [-0.01, 0.01], rtol=1e-3)
 
 
+@pytest.mark.long
 def test_the_critic_may_learn_at_a_rate_of_its_own(env, trained):
     """As fast as the actor it is what it is without; at next to none only the actor changes."""
     (first, *_), _ = trained
@@ -141,6 +142,7 @@ def test_the_critic_may_learn_at_a_rate_of_its_own(env, trained):
     assert change(slow, "value") < 1e-7 < 1e-4 < change(slow, "policy")
 
 
+@pytest.mark.long
 def test_the_critic_moves_no_further_in_an_iteration_than_its_bound(env, trained):
     """At a rate at which it would otherwise run far."""
     (first, *_), _ = trained

@@ -201,6 +201,7 @@ def test_a_training_keeps_with_what_flags_it_was_begun(tmp_path, started, monkey
         tune(TuneConfig(path, out), Console(quiet=True))
 
 
+@pytest.mark.long
 def test_a_cluster_is_asked_for_its_gpus_and_its_workers_do_not_take_all_of_one(
     tmp_path, monkeypatch
 ):

@@ -228,6 +228,7 @@ def test_an_object_at_rest_whose_pose_is_noisy_rests(make, home, known):
     assert np.max(since) > 0.3, "what moves is waited for"
 
 
+@pytest.mark.long
 def test_a_state_as_a_vector_goes_the_same_way(grasper, tick, begun, home, known, there):
     """Through every kind of number in it: flags, counts, what is infinite or not there yet."""
     flat, state = FlatTick(grasper, begun), begun
@@ -309,6 +310,7 @@ def close(a, b, atol=2e-5):
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=atol, rtol=1e-4), a, b)
 
 
+@pytest.mark.long
 def test_a_batch_is_the_map_over_its_robots(grasper, tick, known, everywhere):
     """In all phases at once, of which each row has its own."""
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *everywhere)
@@ -320,7 +322,7 @@ def test_a_batch_is_the_map_over_its_robots(grasper, tick, known, everywhere):
         close(jax.tree.map(lambda leaf, k=k: leaf[k], mapped), alone, atol)
 
 
-@pytest.fixture(params=["cpu", "gpu"])
+@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.long)])
 def backend(request, monkeypatch):
     """As it is computed on either; what is a kernel of a GPU is interpreted."""
     if request.param == "gpu":
@@ -345,6 +347,7 @@ def test_many_worlds_are_the_map_over_them(backend, grasper, known, everywhere, 
             close(jax.tree.map(lambda leaf, k=k: leaf[k], found), alone[phase], atol)
 
 
+@pytest.mark.long
 def test_many_worlds_begin_to_reach_again_as_one_does(grasper, tick, home, known, closing, there):
     """Where the object leaves before the lift, beside others that go on."""
     rows = [

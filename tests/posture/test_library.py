@@ -117,6 +117,7 @@ def test_overlap_puts_hands_behind_that_would_be_in_the_object(body, library):
         assert starts.option.tolist() == [first, 1 - first]
 
 
+@pytest.mark.long
 def test_batched_is_looped_and_jit_is_eager(body, library, options, around):
     config = StartConfig(near=50, count=4, overlap_weight=2.0, ranked=12)
     shifts = jnp.asarray([[0.0, 0, 0], [0.05, 0.05, 0], [-0.05, 0.1, 0.02]])

@@ -117,6 +117,7 @@ def test_distance_to_the_object_is_that_of_mujoco(body, oracle):
                 assert float(ours(q)) == pytest.approx(exact, abs=tolerance)
 
 
+@pytest.mark.long
 def test_parts_asked_about_together_are_as_near_as_each_alone(body):
     parts = [body.hand_capsules, body.palm_points, body.arm_capsules]
     motion = body.kinematics.motion(jnp.asarray(_configurations(body, 1, seed=3)[0]))

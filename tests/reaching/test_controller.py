@@ -120,13 +120,15 @@ def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
     assert (at - first + 1) * dt == pytest.approx(0.3, abs=1.1 * dt)  # a sum of float32
 
 
-@pytest.mark.parametrize(("near", "drift"), [(np.inf, 0.0), (0.3, 0.02)])
+@pytest.mark.parametrize(
+    ("near", "drift"), [pytest.param(np.inf, 0.0, marks=pytest.mark.long), (0.3, 0.02)]
+)
 def test_without_that_rule_or_with_a_moving_object_it_waits_for_the_time_out(reacher, near, drift):
     run, at, gate = _handed_off(reacher, near, drift)
     assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 
 
-@pytest.mark.parametrize("tips", [0.0, 0.035])
+@pytest.mark.parametrize("tips", [pytest.param(0.0, marks=pytest.mark.long), 0.035])
 def test_where_progress_stalls_fairly_near_tips_are_handed_off_and_others_go_elsewhere(
     reacher, tips
 ):

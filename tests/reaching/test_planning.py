@@ -251,6 +251,7 @@ def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(plan
     assert cost(half, (0.0, 0.02, 0.0), hold_weight=3.0) == pytest.approx(3 * lower, rel=1e-3)
 
 
+@pytest.mark.long
 def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
     """By friction alone: the nearer the contacts are to the centre of mass, the less force."""
     reacher, plan, poses, _, _ = planned
@@ -273,6 +274,7 @@ def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
     assert np.median(shift) > 0.01 and min(shift) >= -1e-3
 
 
+@pytest.mark.long
 def test_plans_use_contacts_that_can_hold_alone(planned):
     """Of candidates whose wraps were turned to another face none is planned for.
 

@@ -153,6 +153,7 @@ def test_postures_that_touch_the_object_are_found_and_not_begun_in(scene, starts
     assert taken == 3 * ball + int(way.nearest[ball, 1])
 
 
+@pytest.mark.long
 def test_draws_reach_as_far_as_the_level_and_resets_keep_it(scene, starts, way):
     rows = [0] * 64
     config = replace(CONFIG, curriculum=CurriculumConfig(start=0.5))
@@ -204,6 +205,7 @@ def test_contacts_go_with_the_object(scene, starts):
     np.testing.assert_allclose(back.position, starts.targets.position, atol=1e-6)
 
 
+@pytest.mark.long
 def test_the_policy_sees_the_contacts_in_the_palms_frame(scene, starts):
     """Of two ticks, the newest last, beside the closing task's numbers."""
     script, rows = moved(starts, [0, 8], 3), [0, 8]
@@ -258,6 +260,7 @@ def test_before_the_lift_actions_move_their_own_joints_alone(scene, starts):
     np.testing.assert_allclose(ctrl[15], 0.0, atol=2e-6)
 
 
+@pytest.mark.long
 def test_fingers_stop_at_their_joints_limits(scene, starts):
     task = make(scene, starts, still(starts, [0], 2))
     state, _ = begun(task, [0], 0.0)
@@ -361,6 +364,7 @@ def test_an_object_that_falls_out_of_reach_costs_no_more_than_the_way_there(scen
     np.testing.assert_allclose(paid.sum(), 0.0, atol=1e-5)  # the way alone counts
 
 
+@pytest.mark.long
 def test_jitted_batched_and_one_by_one_it_is_the_same(scene, starts):
     rows, ticks = [0, 4, 8], 3
     script = moved(starts, rows, ticks)

@@ -64,6 +64,7 @@ def commanded(task, states):
     return np.asarray(states.physics.ctrl)[..., task.physics.scene.addresses.robot_ctrl]
 
 
+@pytest.mark.long
 def test_the_other_joints_have_actions_until_the_lift(scene, starts):
     """Each moves its own joint at the rate of arm or fingers; after lift onset none does."""
     rows, ticks, lifts = [0] * 6, 8, 5
@@ -275,7 +276,7 @@ def test_the_layout_says_how_fast_the_arm_is_before_the_lift(scene, fast):
     assert one["arm_residual"] == one["other_arm_joint"] == (fast or 0.5)
 
 
-@pytest.mark.parametrize("ticks", [4, 900])
+@pytest.mark.parametrize("ticks", [4, pytest.param(900, marks=pytest.mark.long)])
 def test_what_is_over_ends_an_episode_for_learners_and_is_no_truncation(scene, starts, ticks):
     """World 0 fails in the fourth tick: in the middle of its time, or just at the end of it."""
     script = still(starts, [0, 0], 6)

@@ -180,6 +180,7 @@ def test_a_tight_budget_costs_and_a_wide_one_does_not(scene, starts):
     np.testing.assert_allclose(tick.rewards["held"], 1.0, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_budget_is_one_of_the_mean_force_since_lift_onset(scene, starts):
     config = ClosingTaskConfig(reward=RewardConfig(over_budget=-1.0))
     script = still(starts, [0], 6)

@@ -115,6 +115,7 @@ def test_offset_shifts_along_the_table_only(starts):
     np.testing.assert_array_equal(pose[:, 3:], starts.truth.object_quat[jnp.array([0, 4])])
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**31))
 def test_turned_objects_stand_on_the_table(starts, scene, seed):
     w = np.random.default_rng(seed).normal(size=(9, 3)) * 0.2

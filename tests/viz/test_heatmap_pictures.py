@@ -96,6 +96,7 @@ def test_a_sheet_has_a_place_for_everything():
         contact_sheet([], "Title")
 
 
+@pytest.mark.long
 def test_many_cells_become_smaller_instead_of_enormous(monkeypatch):
     monkeypatch.setattr("mjx_grasp.viz.contact_sheet._MOST_PIXELS", 600)
     assert max(sheet_of(30).size) < 1200

@@ -80,6 +80,7 @@ def run(live, most=200):
     return ticks
 
 
+@pytest.mark.long
 def test_a_grasp_that_finds_nothing_says_why_and_ends(live, known):
     live.put(0, HERE, UPRIGHT)
     assert live.done and live.last is None

@@ -98,6 +98,7 @@ def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_fac
         page.screenshot(path=os.path.join(folder, "viewer.png"))
 
 
+@pytest.mark.long
 def test_the_width_of_a_named_part_holds_for_that_part_alone(viewer, page):
     field, sigma = control(page, "go to"), number(page, "sigma [mm]")
     field.fill("by the handle")

@@ -6,9 +6,7 @@ run beside each other, each on cores of its own.
 
 from __future__ import annotations
 
-import logging
 import os
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +14,7 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeVar
 
 from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.records.settings import CommandSettings, Count
 
@@ -106,23 +105,7 @@ def as_done(
     import ray
     from ray.util import ActorPool
 
-    # Modules are found where this process finds them; nobody takes all of a GPU.
-    share = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    found = {
-        "env_vars": {
-            "PYTHONPATH": os.pathsep.join(sys.path),
-            "XLA_PYTHON_CLIENT_PREALLOCATE": share,
-        }
-    }
-    ray.init(
-        over.address,
-        num_cpus=over.processes if over.address is None else None,
-        log_to_driver=False,
-        logging_level=logging.WARNING,
-        include_dashboard=False,
-        runtime_env=found,
-    )
-    try:
+    with connected(over.address, over.processes):
         kind: Any = ray.remote(
             num_cpus=1, max_restarts=-1, max_task_retries=-1, scheduling_strategy="SPREAD"
         )(_Worker)
@@ -130,15 +113,14 @@ def as_done(
         machines = ray.get([worker.machine.remote() for worker in workers])
         places = dict(zip(workers, places_on(machines), strict=True))
         pool: Any = ActorPool(workers)
-        yield from pool.map_unordered(
-            lambda worker, job: worker.run.remote(places[worker], *job), list(enumerate(jobs))
-        )
-    except ray.exceptions.RayTaskError as error:
-        if isinstance(error.cause, MjxGraspError):  # for people: without the process's traceback
-            raise error.cause from None
-        raise
-    finally:
-        ray.shutdown()
+        try:
+            yield from pool.map_unordered(
+                lambda worker, job: worker.run.remote(places[worker], *job), list(enumerate(jobs))
+            )
+        except ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, MjxGraspError):  # for people: without the traceback there
+                raise error.cause from None
+            raise
 
 
 def places_on(machines: Sequence[str]) -> list[Place]:

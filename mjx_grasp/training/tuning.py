@@ -7,7 +7,6 @@ import itertools
 import os
 import shlex
 import shutil
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,6 +27,7 @@ from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
+from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
 from mjx_grasp.tasks.assemble import has_gpu
@@ -253,26 +253,13 @@ def _tasks(config: TuneConfig) -> Iterator[Callable[[Callable[..., Any]], Any]]:
     """What makes Ray tasks of functions, each with a training's share of a machine."""
     import ray
 
-    # Modules are found where this process finds them; nobody takes all of a GPU.
-    variables = {
-        "PYTHONPATH": os.pathsep.join(sys.path),
-        "XLA_PYTHON_CLIENT_PREALLOCATE": os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false"),
-    }
-    ray.init(
-        address=config.address,
-        log_to_driver=False,
-        include_dashboard=False,
-        runtime_env={"env_vars": variables},
-    )
-    try:
+    with connected(config.address):
         gpus = config.gpus
         if gpus is None:
             alone = config.address is None
             gpus = float(has_gpu() if alone else ray.cluster_resources().get("GPU", 0) > 0)
         # A process of its own for each: what JAX holds goes with it. A lost one is run again.
         yield ray.remote(max_calls=1, max_retries=-1, num_cpus=config.cpus, num_gpus=gpus)
-    finally:
-        ray.shutdown()
 
 
 def run_all(

@@ -68,26 +68,23 @@ PACED = "--task.reach-rate 1"
 """the arm as fast as reaching keeps to"""
 
 
-def _paced(word: str, iterations: int) -> dict[str, str]:
-    """Trainings with the arm at that speed, for so long."""
-    ours = f"{OURS} --ppo.iterations {iterations}"
+def _paced(word: str, more: str, alone: bool = True) -> dict[str, str]:
+    """Trainings with the arm at that speed: two that are guided, and one that is not."""
+    ours = f"{OURS} {more}"
     helped = {f"e2e-paced{word}-{k}": f"{ours} {HELPED} {PACED} --seed {k}" for k in (0, 1)}
-    return helped | {f"e2e-paced-alone{word}-0": f"{ours} {PACED}"}
+    return helped | ({f"e2e-paced-alone{word}-0": f"{ours} {PACED}"} if alone else {})
 
 
-SHORTER = _paced("", 1500)
-EARLIER = {
-    f"{run.replace('-long', '-early')}": f"{train} --task.curriculum.until 0.4"
-    for run, train in _paced("-long", 2300).items()
-    if "alone" not in run
-}
-"""The whole way is trained on from half as many iterations on."""
+SHORTER = _paced("", "--ppo.iterations 1500")
+LONGER = _paced("-long", "--ppo.iterations 2300")
+EARLIER = _paced("-early", "--ppo.iterations 2300 --task.curriculum.until 0.4", alone=False)
+"""As long, but forced to the whole way after half as many iterations."""
 END_TO_END_RUNS = {
     **{f"e2e-paper-{k}": f"{AS_PUBLISHED} --seed {k}" for k in (0, 1)},
     **{f"e2e-helped-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} --seed {k}" for k in (0, 1)},
     "e2e-alone-0": f"{OURS} --ppo.iterations 1500",
     **SHORTER,
-    **_paced("-long", 2300),
+    **LONGER,
     **EARLIER,
     "e2e-slow-0": (
         f"{OURS} --ppo.iterations 620 {HELPED} --task.reach-rate 0.5 "

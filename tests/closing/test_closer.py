@@ -446,7 +446,6 @@ def test_fingers_lead_by_no_more_than_residual_lead_and_force_allow(walk, ran, c
     assert np.abs(torque).max() > 0.01
 
 
-@pytest.mark.long
 @settings(max_examples=10)
 @given(level=st.sampled_from([-1.0, 1.0]), force=st.floats(0, 10), seed=st.integers(0, 9))
 def test_the_arm_never_leaves_its_range(robot, starts, level, force, seed):

@@ -58,7 +58,6 @@ def _tick(body, name, p, R):
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(p, R))
 
 
-@pytest.mark.long
 def test_an_infeasible_tick_commands_zero_and_is_counted(body, pressed):
     state, done, *_ = _tick(body, "paper", *pressed)
     assert done.targets.valid.all() and np.all(state.outcome == ReachOutcome.RUNNING)

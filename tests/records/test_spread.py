@@ -112,6 +112,24 @@ def test_results_of_several_come_in_order_from_cores_of_their_own_and_none_is_lo
         list(spread(over, work, [0, 9], begin))
 
 
+_SHARED = """
+import jax.numpy as jnp
+from mjx_grasp.records.spread import Spread, as_done
+
+jnp.ones(3).block_until_ready()  # threads, of which forks are warned
+done = as_done(Spread(processes=2), lambda one, job: one + job, [1, 2, 3], lambda: 1)
+print(sorted(value for _, value in done))
+"""
+
+
+@pytest.mark.long
+def test_nothing_is_said_of_ray(two_cores):
+    done = subprocess.run(
+        [sys.executable, "-c", _SHARED], capture_output=True, text=True, check=True
+    )
+    assert (done.stdout, done.stderr) == ("[2, 3, 4]\n", "")
+
+
 @pytest.mark.long
 def test_what_a_process_refuses_is_said_as_by_one(two_cores):
     def work(context, job):

@@ -260,7 +260,6 @@ def test_before_the_lift_actions_move_their_own_joints_alone(scene, starts):
     np.testing.assert_allclose(ctrl[15], 0.0, atol=2e-6)
 
 
-@pytest.mark.long
 def test_fingers_stop_at_their_joints_limits(scene, starts):
     task = make(scene, starts, still(starts, [0], 2))
     state, _ = begun(task, [0], 0.0)

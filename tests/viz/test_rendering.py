@@ -69,6 +69,13 @@ def test_a_gif_shows_the_object_moving(stored, tmp_path):
     assert path.stat().st_size < 2e6
 
 
+def test_the_background_is_plain_and_above_the_table(stored, tmp_path):
+    picture = np.asarray(Image.open(rendered(VideoConfig(stored, tmp_path / "b.png", 64, 48, 2))))
+    plain = (picture == frames._BACKGROUND).all(axis=2)
+    assert plain[0, 0] and plain[0, -1] and not plain[-1, 16:-16].any()
+    assert 0.05 < plain.mean() < 0.7
+
+
 def test_an_mp4_plays_back_with_its_rate_and_size(stored, tmp_path):
     path = rendered(VideoConfig(stored, tmp_path / "v.mp4", width=97, height=64, fps=20, speed=0.5))
     pictures = iio.imread(path)

@@ -78,7 +78,7 @@ def main(config: GrasperBenchmarkConfig) -> None:
     library = start_library(grasper.reacher.body, grasper.planner.config)
     physics = NativePhysics(build_scene(objects, robot), grasper.dt, threads=1)
     known = known_objects(objects, robot)
-    problem = draw_problem(objects, config.grasps, config.seed)
+    problem = draw_problem(physics.scene, config.grasps, config.seed)
     at = physics.scene.addresses
     order, home = np.argsort(at.robot_ctrl), np.asarray(robot.home, np.float32)
     plan = jax.jit(lambda *given: grasper.plan(library, *given))

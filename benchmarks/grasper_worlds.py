@@ -109,7 +109,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
         if config.engine == "mjx"
         else NativePhysics(scene, grasper.dt)
     )
-    problem = draw_problem(objects, config.worlds // len(objects), config.seed)
+    problem = draw_problem(scene, config.worlds // len(objects), config.seed)
     known = known_of(known_objects(objects, robot), problem)
     measurements = _run(config, grasper, physics, known, problem, console)
     record = {

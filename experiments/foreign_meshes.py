@@ -111,8 +111,8 @@ def main(config: ForeignConfig) -> None:
         grasper = loaded_grasper(robot)
         assert grasper.planner is not None
         library = start_library(grasper.reacher.body, grasper.planner.config)
-        problem = draw_problem(objects, 1, config.seed)
         physics = NativePhysics(build_scene(objects, robot), grasper.dt)
+        problem = draw_problem(physics.scene, 1, config.seed)
         job = bar.add_task("grasps", total=1.0)
         end, trace = grasp_all(
             grasper, library, physics, known_of(known, problem), problem, None, config.seed,

@@ -244,9 +244,8 @@ class Steered:
         self._objects = objects = list(load_objects(config.objects, config.objects_dir))
         self._places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
         counts = [sum(place.index == k for place in self._places) for k in range(len(objects))]
-        drawn = [
-            draw_problem([obj], n, config.seed) for obj, n in zip(objects, counts, strict=True)
-        ]
+        scene = build_scene(objects, self._robot)
+        drawn = [draw_problem(scene, n, config.seed, objects=[k]) for k, n in enumerate(counts)]
         self._problem = GraspProblem(
             object_index=np.repeat(np.arange(len(objects)), counts),
             p_wo=np.concatenate([part.p_wo for part in drawn]),

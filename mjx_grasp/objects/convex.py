@@ -16,19 +16,34 @@ from mjx_grasp.records.settings import Count, NonNegative, Range, Seed, Settings
 
 
 @dataclass(frozen=True)
+class Division(Settings):
+    """How finely coacd divides."""
+
+    max_pieces: Count = 12
+    """pieces of an object at most [-]"""
+    threshold: Annotated[float, Range(0, 1, above=True)] = 0.1
+    """concavity that is left [-]"""
+    iterations: Count = 150
+    """of the search for each cut [-]"""
+    depth: Count = 3
+    """cuts that it looks ahead [-]"""
+
+
+@dataclass(frozen=True)
 class ConvexConfig(Settings):
     """How a mesh is divided into convex pieces."""
 
     single_hull_error: NonNegative = 0.006
     """95 % outward error up to which one hull is enough [m]"""
-    max_pieces: Count = 12
-    """pieces of an object at most [-]"""
+    divisions: tuple[Division, ...] = (
+        Division(),
+        Division(max_pieces=24, threshold=0.05, iterations=60, depth=2),
+    )
+    """tried in turn, until one stands out no farther than that; else the one that does least"""
     max_vertices: Annotated[int, Range(4, 2**31 - 1)] = 64
     """vertices of a hull at most [-]"""
     ball_deviation: NonNegative = 0.04
     """95 % radial deviation over the radius of what counts as a ball [-]"""
-    coacd_threshold: Annotated[float, Range(0, 1, above=True)] = 0.1
-    """concavity that is left [-]"""
     samples: Count = 4000
     """surface points of the error estimate [-]"""
     seed: Seed = 0
@@ -74,8 +89,9 @@ def convex_pieces(
     """Divides a closed mesh into convex pieces.
 
     A ball becomes a sphere; a mesh whose reduced hull is off by at most ``single_hull_error``
-    becomes that hull; everything else goes to coacd, component by component, with a fixed seed.
-    There are never more than ``max_pieces``: of more components, small ones share a hull.
+    becomes that hull; everything else goes to coacd, component by component, with a fixed seed: a
+    bowl's or a mug's thin wall in more pieces than others. There are never more than a division
+    allows: of more components, small ones share a hull.
 
     Returns:
         The pieces and their 95 % outward error (m), see ``outward_error``.
@@ -86,8 +102,13 @@ def convex_pieces(
     hull, error = single_hull(mesh, config)
     if error <= config.single_hull_error:
         return (hull,), error
-    pieces = _decomposed(mesh, config)
-    return pieces, outward_error(mesh, pieces, config)
+    best: tuple[tuple[Piece, ...], float] = (), float("inf")
+    for division in config.divisions:
+        pieces = _decomposed(mesh, division, config)
+        best = min(best, (pieces, outward_error(mesh, pieces, config)), key=lambda found: found[1])
+        if best[1] <= config.single_hull_error:
+            break
+    return best
 
 
 def single_hull(
@@ -135,22 +156,24 @@ def _ball(mesh: trimesh.Trimesh, config: ConvexConfig) -> Piece | None:
     return Piece("sphere", centre, radius)
 
 
-def _decomposed(mesh: trimesh.Trimesh, config: ConvexConfig) -> tuple[Piece, ...]:
+def _decomposed(
+    mesh: trimesh.Trimesh, division: Division, config: ConvexConfig
+) -> tuple[Piece, ...]:
     """At most ``max_pieces``: each component's own hull where that is enough, else coacd's."""
-    parts = _gathered(split(mesh), config.max_pieces)
+    parts = _gathered(split(mesh), division.max_pieces)
     hulls = [_hull(np.asarray(part.vertices), config.max_vertices) for part in parts]
     concave = np.array(
         [outward_error(mesh, (hull,), config) > config.single_hull_error for hull in hulls]
     )
     area = np.where(concave, [part.area for part in parts], 0.0)
-    budget = config.max_pieces - int(np.sum(~concave))
+    budget = division.max_pieces - int(np.sum(~concave))
     share = np.maximum(np.floor(budget * area / max(area.sum(), 1e-12)).astype(int), 1)
     # A component gets one piece however small its share: the largest shares give them up.
     while share[concave].sum() > budget:
         share[np.argmax(share)] -= 1
     pieces: list[Piece] = []
     for part, hull, count in zip(parts, hulls, share, strict=True):
-        pieces += _coacd(part, int(count), config) if count > 1 else [hull]
+        pieces += _coacd(part, int(count), division, config) if count > 1 else [hull]
     return tuple(pieces)
 
 
@@ -180,14 +203,18 @@ def _joined(a: trimesh.Trimesh, b: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def _coacd(mesh: trimesh.Trimesh, count: int, config: ConvexConfig) -> list[Piece]:
+def _coacd(
+    mesh: trimesh.Trimesh, count: int, division: Division, config: ConvexConfig
+) -> list[Piece]:
     import coacd  # loads a native library: only where a decomposition is needed
 
     coacd.set_log_level("error")
     parts = coacd.run_coacd(
         coacd.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)),
-        threshold=config.coacd_threshold,
+        threshold=division.threshold,
         max_convex_hull=count,
+        mcts_iterations=division.iterations,
+        mcts_max_depth=division.depth,
         preprocess_mode="auto",
         decimate=False,
         seed=config.seed,

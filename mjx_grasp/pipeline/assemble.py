@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import InputError
+from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.packing import filled_size
-from mjx_grasp.grasp.candidates import Candidates, first_and_rest
+from mjx_grasp.grasp.candidates import (
+    Candidates,
+    evenly_over_directions,
+    first_and_rest,
+    vertex_candidates,
+)
+from mjx_grasp.grasp.levered import THIN_M, levered
 from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.compute import heatmap_of, heatmaps_of
 from mjx_grasp.heatmap.steering import Heatmap
@@ -39,11 +47,16 @@ above the table for the hand, whatever their score."""
 STEERED_CANDIDATES = 2048
 """The same where scores are steered: the anchor's best three quarters and others of the heatmap, as
 the object may lie on most of the former."""
+LEVERED = 512
+"""Further ones where walls are thin, with the thumb higher or lower than the wraps."""
 STEERED_SCORE = 0.5
 """With less a candidate is not chosen where scores are steered [-]."""
 STEERED_AT_LEAST = (32, 128, 512)
 """So many of those that can be used where the object lies are looked at, one number after the other
 where there is no good posture; one or two are seldom within reach [-]."""
+
+
+_UPS = 4  # directions that may be upwards, for each of which these are made
 
 
 def whole_grasps(
@@ -140,7 +153,7 @@ def known_object(
     """What a grasp has to know of an object; of one size for all objects, so that they stack.
 
     Its candidates are the best by score, and a quarter others, for poses in which none of those is
-    within reach.
+    within reach; and further ones of thin walls, see `levered`.
 
     Args:
         obj: The object.
@@ -150,9 +163,9 @@ def known_object(
     """
     heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
     if score is None:
-        candidates = _chosen(*_filled(heatmap, heatmap.score), CANDIDATES)
+        candidates = _own(*_filled(heatmap, heatmap.score), _hanging(obj), CANDIDATES)
     else:
-        candidates = steered_candidates(heatmap, score)
+        candidates = steered_candidates(heatmap, score, obj=obj)
     weight, com = jnp.float32(obj.weight), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
 
@@ -188,6 +201,7 @@ def steered_candidates(
     score: Float[Array | np.ndarray, " v"],
     count: int = STEERED_CANDIDATES,
     at_least: int = STEERED_AT_LEAST[0],
+    obj: ObjectModel | None = None,
 ) -> Candidates:
     """Those a steered grasp chooses among: the anchor's best, with `steered_scores`.
 
@@ -199,18 +213,62 @@ def steered_candidates(
         score: Of its vertices, by an anchor.
         count: How many.
         at_least: See `steered_scores`.
+        obj: The object, for further ones of its thin walls; none without it.
     """
-    return _steered(*_filled(heatmap, score), count, at_least)
+    hanging = None if obj is None else _hanging(obj)
+    return _steered(*_filled(heatmap, score), hanging, count, at_least)
 
 
-@partial(jax.jit, static_argnames=("count", "at_least"))
-def _steered(heatmap: Heatmap, score: Float[Array, " v"], count: int, at_least: int) -> Candidates:
-    return _chosen(heatmap, steered_scores(heatmap, score, at_least), count)
+class _Hanging(NamedTuple):
+    """What makes an object turn that hangs on a thin wall; object frame."""
+
+    com: Float[Array, " 3"]
+    """[m]"""
+    ups: Float[Array, "u 3"]
+    """unit directions that may be upwards: as it was scanned, and as it rests most often"""
+
+
+def _hanging(obj: ObjectModel) -> _Hanging:
+    likely = sorted(obj.resting, key=lambda pose: -pose.probability)
+    quats = [[1.0, 0.0, 0.0, 0.0], *(likely[k % len(likely)].quat for k in range(_UPS - 1))]
+    turns = so3.quat_to_mat(jnp.asarray(np.array(quats, np.float32)))
+    return _Hanging(jnp.asarray(obj.com, jnp.float32), turns[:, 2])
 
 
 @partial(jax.jit, static_argnames="count")
-def _chosen(heatmap: Heatmap, score: Float[Array, " v"], count: int) -> Candidates:
-    return first_and_rest(heatmap, score, count - count // 4, count)
+def _own(heatmap: Heatmap, score: Float[Array, " v"], hanging: _Hanging, count: int) -> Candidates:
+    """By the heatmap's own scores; thin walls in all directions, as it may lie on the best."""
+    surface = vertex_candidates(heatmap, score)
+    thin = jnp.where(surface.width <= THIN_M, surface.score, 0.0)
+    bases = evenly_over_directions(surface._replace(score=thin))[: LEVERED // _UPS]
+    straight = first_and_rest(heatmap, score, count - count // 4, count)
+    return _with_levered(straight, surface, bases, hanging)
+
+
+@partial(jax.jit, static_argnames=("count", "at_least"))
+def _steered(
+    heatmap: Heatmap,
+    score: Float[Array, " v"],
+    hanging: _Hanging | None,
+    count: int,
+    at_least: int,
+) -> Candidates:
+    """By an anchor's; of the thin walls the nearest to it."""
+    scores = steered_scores(heatmap, score, at_least)
+    straight = first_and_rest(heatmap, scores, count - count // 4, count)
+    if hanging is None:
+        return straight
+    surface = vertex_candidates(heatmap, scores)
+    thin = jnp.where(surface.width <= THIN_M, surface.score, 0.0)
+    _, bases = jax.lax.top_k(thin, LEVERED // _UPS)
+    return _with_levered(straight, surface, bases, hanging)
+
+
+def _with_levered(
+    straight: Candidates, surface: Candidates, bases: Int[Array, " b"], hanging: _Hanging
+) -> Candidates:
+    made = levered(jax.tree.map(lambda leaf: leaf[bases], surface), surface, *hanging)
+    return jax.tree.map(lambda *both: jnp.concatenate(both), straight, made)
 
 
 def _filled(

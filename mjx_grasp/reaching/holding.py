@@ -10,11 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from mjx_grasp.geometry.vectors import dot, unit
+from mjx_grasp.geometry.signed_distance import Shape, signed_distance
+from mjx_grasp.geometry.vectors import dot, norm, unit
+from mjx_grasp.grasp.levered import THIN_M
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import pressing_force
+
+_BEFORE_M, _BEYOND_M, _PLACES = -0.010, 0.025, 8  # of a target, where a finger may meet something
+_BESIDE_M = 0.003  # that it meets with most of its pad
 
 
 def pull(around: Surroundings, weight: Float[Array, ""] | float) -> Load:
@@ -26,10 +31,12 @@ def pull(around: Surroundings, weight: Float[Array, ""] | float) -> Load:
 def opposing(
     friction: float, contacts: Float[Array, "*n 3 3"], normals: Float[Array, "*n 3 3"]
 ) -> Bool[Array, "*n"]:
-    """Whether the line from the thumb to the middle of the wraps is in the friction cones of both.
+    """Whether thumb and wraps press against each other, and not past.
 
-    Then some force holds against a pull from any side. It costs next to nothing beside `can_hold`,
-    which asks about the weight alone.
+    The line from the thumb to the middle of the wraps is in the friction cones of both: some force
+    holds against a pull from any side then. Or they face each other across a wall so thin that they
+    lie on it, one beside the other: what they can hold there is for `can_hold` to say. That asks
+    about the weight alone, and costs far more.
 
     Args:
         friction: Of the contacts [-].
@@ -38,8 +45,31 @@ def opposing(
     """
     least = np.cos(np.arctan(friction))
     line = unit(0.5 * (contacts[..., 1, :] + contacts[..., 2, :]) - contacts[..., 0, :])
-    wraps = unit(normals[..., 1, :] + normals[..., 2, :])
-    return (dot(line, -normals[..., 0, :]) >= least) & (dot(line, wraps) >= least)
+    thumb, wraps = normals[..., 0, :], unit(normals[..., 1, :] + normals[..., 2, :])
+    straight = (dot(line, -thumb) >= least) & (dot(line, wraps) >= least)
+    across = unit(wraps - thumb)
+    facing = dot(across, wraps) >= least
+    between = 0.5 * (contacts[..., 1, :] + contacts[..., 2, :]) - contacts[..., 0, :]
+    return straight | (facing & (norm(between) <= THIN_M))
+
+
+def met(
+    shape: Shape, contacts: Float[Array, "*n 3 3"], normals: Float[Array, "*#n 3 3"]
+) -> Bool[Array, "*n"]:
+    """Whether both wraps meet the object when they close along their normals.
+
+    Their targets are beside the contacts of a candidate, by a fixed distance: past the rim of a
+    wall, or the end of a handle, one may find nothing there.
+
+    Args:
+        shape: Of the object.
+        contacts: Thumb, first and second wrap, object frame [m].
+        normals: Outward unit normals of the surface there, object frame [-].
+    """
+    depth = jnp.linspace(_BEFORE_M, _BEYOND_M, _PLACES)[:, None]
+    path = contacts[..., 1:, None, :] - depth * normals[..., 1:, None, :]
+    nearest = jnp.min(signed_distance(shape, path), axis=-1)
+    return jnp.all(nearest <= _BESIDE_M, axis=-1)
 
 
 def can_hold(

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.linear import full_precision
+from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.geometry.vectors import dot, norm, unit
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.config import SelectionConfig
@@ -30,7 +31,7 @@ from mjx_grasp.reaching.approach import approaching
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
-from mjx_grasp.reaching.holding import opposing
+from mjx_grasp.reaching.holding import met, opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.plan_costs import (
     FAILED,
@@ -96,11 +97,18 @@ class _Try(NamedTuple):
     """the same, than the best of all that can be used"""
 
 
-def _opposing(plan: PlanConfig, options: TargetOptions) -> Bool[Array, " o"]:
-    """Which contacts oppose each other, if that is looked at; it does not matter how it lies."""
+def _gripping(
+    plan: PlanConfig, options: TargetOptions, usable: Bool[Array, " o"], shape: Shape
+) -> Bool[Array, " o"]:
+    """Of usable contacts those that oppose each other, if that is looked at; however it lies.
+
+    And of these those that the fingers meet, if there are any.
+    """
     if not np.isfinite(plan.must_hold):
-        return jnp.ones(len(options.candidate), bool)
-    return opposing(plan.must_hold, options.position, options.normal)
+        return usable
+    opposed = usable & opposing(plan.must_hold, options.position, options.normal)
+    found = opposed & met(shape, options.position, options.normal)
+    return jnp.where(jnp.any(found), found, opposed)
 
 
 def held_easily(
@@ -114,7 +122,7 @@ def held_easily(
         usable: Which can be used where the object lies.
         around: The object.
     """
-    opposed = usable & _opposing(plan, options)
+    opposed = _gripping(plan, options, usable, around.shape)
     at = around.p_wo + options.position @ around.R_wo.T
     return opposed & light_enough(plan, plan.easily, opposed, at, around)
 
@@ -233,7 +241,7 @@ class Planner:
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options
         at = around.p_wo + ways.targets.position @ around.R_wo.T
-        allowed &= _opposing(plan, ways.targets)
+        allowed = _gripping(plan, ways.targets, allowed, around.shape)
         allowed &= light_enough(plan, plan.heavier, allowed, at, around) | ~light
         options = Options(goals, allowed)
         starts = choose_starts(body, library, plan.starts, options, around, q, key)

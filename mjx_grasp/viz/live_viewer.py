@@ -238,8 +238,8 @@ class LiveViewer:
 
     def _put(self) -> None:
         """Robot home, the object at a random resting pose."""
-        problem = draw_problem([self._objects[self._name]], 1, self._seed)
         index = self.live.scene.object_index(self._name)
+        problem = draw_problem(self.live.scene, 1, self._seed, objects=[index])
         self.live.put(index, problem.p_wo[0], problem.quat[0])
         self._show_marks(running=False)
         self._draw()
@@ -251,7 +251,8 @@ class LiveViewer:
             self._say("this hand can grasp nothing there" if self._ready else "not ready yet")
             return
         subject = self._subjects[self._name]
-        candidates = steered_candidates(subject.stored.heatmap, score)
+        obj = self._objects[self._name]
+        candidates = steered_candidates(subject.stored.heatmap, score, obj=obj)
         self._say("planning")
         self.live.start(subject.known._replace(candidates=candidates))
         self._show_marks(running=True)

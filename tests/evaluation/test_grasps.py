@@ -2,18 +2,24 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, grasp_all
+from mjx_grasp.handoff.config import SamplingConfig
+from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.pipeline.assemble import grasper_of, known_object, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.planning import start_library
+from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.native import NativePhysics
-from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.sim.scene import ObjectArea, build_scene
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +27,38 @@ def cube():
     return load_object("rubiks_cube")
 
 
-def test_problems_are_drawn_for_each_object_alone(cube):
+def test_problems_are_drawn_for_each_object_alone(cube, robot):
     can = load_object("tuna_fish_can")
-    both, alone = draw_problem([cube, can], 5, 3), draw_problem([can], 5, 3)
+    scene = build_scene([cube, can], robot)
+    both, alone = draw_problem(scene, 5, 3), draw_problem(build_scene([can], robot), 5, 3)
     np.testing.assert_array_equal(both.object_index, [0] * 5 + [1] * 5)
+    second = draw_problem(scene, 5, 3, objects=[1])
+    np.testing.assert_array_equal(second.object_index, [1] * 5)
+    np.testing.assert_array_equal(second.p_wo, alone.p_wo)
     np.testing.assert_array_equal(both.p_wo[5:], alone.p_wo)
     np.testing.assert_array_equal(both.quat[5:], alone.quat)
     assert (both.p_wo[:, 2] > 0).all()
+
+
+def test_nothing_lies_where_the_robot_stands_at_home(robot):
+    """A tall pitcher; the others lie where they would have lain."""
+    pitcher = load_object("pitcher_base")
+    scene = build_scene([load_object("foam_brick"), pitcher], robot)
+    checker, home = CollisionChecker(scene), np.asarray(robot.home)
+    rng = np.random.default_rng([4, int(pitcher.content_hash[:8], 16)])
+    config = SamplingConfig()
+    p_wo, quat = sample_object_poses(poses_at_rest(pitcher, config.standing), 40, config, rng)
+    clear = [checker.reason(home, p, q, 1) is None for p, q in zip(p_wo, quat, strict=True)]
+    assert 20 < sum(clear) < 40
+    problem = draw_problem(scene, 40, 4, objects=[1])
+    np.testing.assert_allclose(problem.p_wo[: sum(clear)], p_wo[clear], atol=1e-6)
+    for p, q in zip(problem.p_wo, problem.quat, strict=True):
+        assert checker.reason(home, p, q, 1) is None
+    tips = robot_body(robot).kinematics.motion(jnp.asarray(home)).pos[:3]
+    x, y, _ = np.asarray(tips, float).mean(axis=0).tolist()
+    there = ObjectArea(x=(x, x + 1e-3), y=(y, y + 1e-3))
+    with pytest.raises(InputError, match=r"pitcher_base.*home"):
+        draw_problem(scene, 2, 0, replace(config, area=there, standing=1.0), objects=[1])
 
 
 @pytest.mark.long

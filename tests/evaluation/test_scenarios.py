@@ -219,14 +219,14 @@ def test_a_ball_that_a_link_touches_is_a_hit(robot, body):
     assert not hits(robot, q, np.zeros((2, 0, 4))).any()
 
 
-def test_objects_keep_away_from_where_they_are_told():
-    cube = load_object("rubiks_cube")
+def test_objects_keep_away_from_where_they_are_told(robot):
+    cube = build_scene([load_object("rubiks_cube")], robot)
     away = problems.Away(np.array([0.5, 0.0, 0.0]), 0.2)
-    problem = problems.draw_problem([cube], 20, 0, away=away)
+    problem = problems.draw_problem(cube, 20, 0, away=away)
     assert (np.linalg.norm(problem.p_wo - away.point, axis=1) >= 0.2).all()
     assert len(problem.p_wo) == 20
     with pytest.raises(InputError, match="away"):
-        problems.draw_problem([cube], 2, 0, away=away._replace(distance=3.0))
+        problems.draw_problem(cube, 2, 0, away=away._replace(distance=3.0))
 
 
 def test_what_the_controller_begins_with(box_world, robot, monkeypatch):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces, outward_error
+from mjx_grasp.objects.convex import ConvexConfig, Division, Piece, convex_pieces, outward_error
 from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
 from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.parametric import stand_in
 
-FEW = ConvexConfig(samples=800)
+FEW = ConvexConfig(samples=800, divisions=(Division(),))
 NAMES = ("foam_brick", "tomato_soup_can", "mug")
 
 
@@ -173,10 +173,27 @@ def test_shares_of_concave_components_keep_the_limit():
         ring.apply_translation((0.2 * k, 0.0, 0.0))
     # By area the shares are 3, 1 and 1: one too many.
     pieces, _ = convex_pieces(
-        trimesh.util.concatenate(rings), ConvexConfig(samples=300, max_pieces=4)
+        trimesh.util.concatenate(rings),
+        ConvexConfig(samples=300, divisions=(Division(max_pieces=4),)),
     )
     assert len(pieces) == 4
     assert sum(piece.pos[0] < 0.15 for piece in pieces) == 2
+
+
+def test_what_stands_out_too_far_is_divided_more_finely():
+    ring = trimesh.creation.annulus(0.05, 0.053, 0.02, sections=48)
+    few, many = Division(max_pieces=6), Division(max_pieces=16, threshold=0.05)
+
+    def made(*divisions, bound=0.006):
+        config = ConvexConfig(samples=300, single_hull_error=bound, divisions=divisions)
+        pieces, error = convex_pieces(ring, config)
+        return len(pieces), error
+
+    coarse, fine = made(few), made(many)
+    assert coarse[0] == 6 and fine[0] == 16 and fine[1] < 0.006 < coarse[1]
+    assert made(few, many) == fine
+    assert made(few, many, bound=1.1 * coarse[1]) == coarse, "no more than are needed"
+    assert made(many, few, bound=0.1 * fine[1]) == fine, "of those that fall short the better"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mjx_grasp.geometry import so3
-from mjx_grasp.geometry.signed_distance import Sphere
+from mjx_grasp.geometry.signed_distance import Box, Sphere
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import pressing_force
-from mjx_grasp.reaching.holding import can_hold, opposing
+from mjx_grasp.reaching.holding import can_hold, met, opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.plan_costs import FAILED, closing_costs
 
@@ -66,6 +66,35 @@ def test_contacts_that_oppose_are_held_whichever_way_they_are_pulled():
     held = np.isfinite(np.asarray(worst(normals)))
     assert 5 < opposed.sum() < 55
     assert np.all(held[opposed]) and np.mean(opposed == held) > 0.85 and not held.all()
+
+
+def test_across_a_thin_wall_they_need_not_lie_opposite():
+    """The thumb higher than the wraps, farther than friction would allow."""
+    friction = 0.5
+    thin = jnp.array([[0.0, 0.0, 0.015], [0.003, 0.02, 0.0], [0.003, -0.02, 0.0]])
+    assert opposing(friction, thin, OUT)
+    assert not opposing(friction, thin.at[0, 2].set(0.025), OUT), "beyond the fingertips"
+    thick = thin.at[1:, 0].set(0.019)  # 24 mm apart, and 38° off
+    assert not opposing(friction, thick, OUT)
+    assert not opposing(friction, thin, ADJACENT)
+    same_side = OUT.at[0].set(OUT[1])
+    assert not opposing(friction, thin, same_side)
+
+
+def test_wraps_meet_a_wall_up_to_its_edge():
+    """A plate of 6 mm, 80 by 60; the wraps on +x, closing along −x."""
+    plate = Box(jnp.array([0.003, 0.04, 0.03]))
+
+    def meet(y=0.0, z=0.0, x=0.003):
+        contacts = jnp.array([[-0.003, 0, 0], [x, y + 0.02, z], [x, y - 0.02, z]])
+        return bool(met(plate, contacts, OUT))
+
+    assert meet() and meet(z=0.03) and meet(y=-0.02)
+    assert not meet(z=0.036) and not meet(y=0.026) and not meet(z=-0.036)
+    # The target may be before or behind the surface: the finger goes on until it meets it.
+    assert meet(x=0.020) and meet(x=-0.006) and not meet(x=0.045)
+    many = jnp.stack([jnp.zeros((3, 3)), jnp.full((3, 3), 0.2)])
+    np.testing.assert_array_equal(met(plate, many, OUT[None]), [True, False])
 
 
 def test_a_hand_holds_what_its_thumb_can_press_for(body):

@@ -23,7 +23,7 @@ from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.native import NativePhysics
-from mjx_grasp.sim.scene import build_scene
+from mjx_grasp.sim.scene import Scene, build_scene
 
 MakeGrasper = Callable[[RobotSpec, Approach], Grasper]
 """A controller of a robot as it is mounted, whose palm is to come from somewhere."""
@@ -37,6 +37,7 @@ class Makers:
     robot: RobotSpec
     _graspers: dict[Any, Grasper] = field(default_factory=dict)
     _libraries: dict[Any, Library | None] = field(default_factory=dict)
+    _scenes: dict[Any, Scene] = field(default_factory=dict)
     _worlds: dict[Any, NativePhysics] = field(default_factory=dict)
     _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
     _known: dict[Any, list[Known]] = field(default_factory=dict)
@@ -106,13 +107,13 @@ class Makers:
         Raises:
             InputError: The objects cannot be had, or not lie as far away as they are to.
         """
-        objects = self.objects(scenario)
+        scene = self.scene(scenario)
         # As many trials where a scenario names its own: the compiled functions are shared.
-        trials = max(1, block.episodes * len(self.objects(Scenario())) // len(objects))
+        trials = max(1, block.episodes * len(self.objects(Scenario())) // len(scene.objects))
         away = None
         if scenario.away:
             away = Away(home_tips(self.grasper(make, scenario)), scenario.away)
-        return draw_problem(objects, trials, block.seed, away=away)
+        return draw_problem(scene, trials, block.seed, away=away)
 
     def grasper(self, make: MakeGrasper, scenario: Scenario) -> Grasper:
         """A controller for a scenario."""
@@ -162,6 +163,18 @@ class Makers:
             self._known[scenario.objects] = found
         return self._known[scenario.objects]
 
+    def scene(self, scenario: Scenario) -> Scene:
+        """Robot and objects of a scenario, as high as these stand.
+
+        Raises:
+            InputError, FileError: The objects cannot be had.
+        """
+        key = scenario.table_height, scenario.objects
+        if key not in self._scenes:
+            robot = self.robot.mounted(-scenario.table_height)
+            self._scenes[key] = build_scene(self.objects(scenario), robot)
+        return self._scenes[key]
+
     def world(self, scenario: Scenario, dt: float) -> NativePhysics:
         """The simulated worlds of a scenario's trials.
 
@@ -171,6 +184,5 @@ class Makers:
         """
         key = scenario.table_height, scenario.objects, dt
         if key not in self._worlds:
-            robot = self.robot.mounted(-scenario.table_height)
-            self._worlds[key] = NativePhysics(build_scene(self.objects(scenario), robot), dt)
+            self._worlds[key] = NativePhysics(self.scene(scenario), dt)
         return self._worlds[key]

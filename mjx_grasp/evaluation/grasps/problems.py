@@ -14,12 +14,13 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
-from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.state import Known
+from mjx_grasp.sim.collision import CollisionChecker
+from mjx_grasp.sim.scene import Scene
 
 _DRAWS = 20
 """Poses drawn for each that is wanted, and for ten more, where they are to be away from
-something."""
+something; and times that poses are drawn until enough are clear of the robot."""
 
 
 class Away(NamedTuple):
@@ -32,43 +33,58 @@ class Away(NamedTuple):
 
 
 def draw_problem(
-    objects: Sequence[ObjectModel],
+    scene: Scene,
     trials: int,
     seed: int,
     config: SamplingConfig | None = None,
     away: Away | None = None,
+    objects: Sequence[int] | None = None,
 ) -> GraspProblem:
     """Random poses at rest on the table, as start states are sampled (method §4).
 
-    An object's poses depend on the seed and its own place in the list of none other.
+    None is where the robot at home would be in the object. An object's poses depend on the seed,
+    the robot and itself alone.
 
     Args:
-        objects: Those of the scene, in its order.
+        scene: Robot and objects.
         trials: Poses of each.
         seed: Of the poses.
         config: The object area, and how many stand as scanned.
         away: From where they keep away.
+        objects: Which of the scene's; all by default.
 
     Raises:
         InputError: They can lie nowhere else.
     """
-    config = config or SamplingConfig()
-    drawn = []
-    for obj in objects:
+    config, checker = config or SamplingConfig(), CollisionChecker(scene)
+    home = np.asarray(scene.robot.home)
+    indices = range(len(scene.objects)) if objects is None else objects
+
+    def poses(index: int) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
+        obj = scene.objects[index]
         rng = np.random.default_rng([seed, int(obj.content_hash[:8], 16)])
         resting = poses_at_rest(obj, config.standing)
-        wanted = trials if away is None else _DRAWS * (trials + 10)
-        p_wo, quat = sample_object_poses(resting, wanted, config, rng)
+        found: list[tuple[np.ndarray, np.ndarray]] = []
+        for _ in range(_DRAWS):
+            wanted = trials if away is None else _DRAWS * (trials + 10)
+            drawn = sample_object_poses(resting, wanted, config, rng)
+            for p, quat in zip(*drawn, strict=True):
+                far = away is None or np.linalg.norm(p - away.point) >= away.distance
+                if far and checker.reason(home, p, quat, index) is None:
+                    found.append((p, quat))
+                if len(found) == trials:
+                    return np.stack([p for p, _ in found]), np.stack([q for _, q in found])
+            if away is not None and not found:
+                break
         if away is not None:
-            kept = np.linalg.norm(p_wo - away.point, axis=1) >= away.distance
-            p_wo, quat = p_wo[kept][:trials], quat[kept][:trials]
-            if len(p_wo) < trials:
-                raise InputError("away", away.distance, "less: the object area ends before [m]")
-        drawn.append((p_wo, quat))
+            raise InputError("away", away.distance, "less: the object area ends before [m]")
+        raise InputError("object", obj.name, "one with room beside the robot at home")
+
+    places = [poses(index) for index in indices]
     return GraspProblem(
-        object_index=np.repeat(np.arange(len(objects)), trials),
-        p_wo=np.concatenate([p for p, _ in drawn]).astype(np.float32),
-        quat=np.concatenate([quat for _, quat in drawn]).astype(np.float32),
+        object_index=np.repeat(np.asarray(indices), trials),
+        p_wo=np.concatenate([p for p, _ in places]).astype(np.float32),
+        quat=np.concatenate([quat for _, quat in places]).astype(np.float32),
     )
 
 

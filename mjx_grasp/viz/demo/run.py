@@ -115,8 +115,8 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             library = start_library(grasper.reacher.body, grasper.planner.config)
         with clock.step("plan and grasp"):
             away = Away(home_tips(grasper), scenario.away) if scenario.away else None
-            problem = draw_problem([obj], 1, config.seed, away=away)
             scene = build_scene([obj], robot)
+            problem = draw_problem(scene, 1, config.seed, away=away)
             score = jnp.asarray(steered.score) if config.steers else None
             known = [known_object(obj, robot, steered.heatmap, score)]
             physics = NativePhysics(scene, grasper.dt, threads=1)

@@ -182,7 +182,7 @@ def test_shares_of_concave_components_keep_the_limit():
 
 def test_what_stands_out_too_far_is_divided_more_finely():
     ring = trimesh.creation.annulus(0.05, 0.053, 0.02, sections=48)
-    few, many = Division(max_pieces=6), Division(max_pieces=16, threshold=0.05)
+    few, many = Division(max_pieces=6), Division(max_pieces=12, threshold=0.05)
 
     def made(*divisions, bound=0.006):
         config = ConvexConfig(samples=300, single_hull_error=bound, divisions=divisions)
@@ -190,7 +190,7 @@ def test_what_stands_out_too_far_is_divided_more_finely():
         return len(pieces), error
 
     coarse, fine = made(few), made(many)
-    assert coarse[0] == 6 and fine[0] == 16 and fine[1] < 0.006 < coarse[1]
+    assert coarse[0] == 6 and fine[0] == 12 and fine[1] < 0.006 < coarse[1]
     assert made(few, many) == fine
     assert made(few, many, bound=1.1 * coarse[1]) == coarse, "no more than are needed"
     assert made(many, few, bound=0.1 * fine[1]) == fine, "of those that fall short the better"

@@ -193,7 +193,7 @@ class Closer:
         state = state._replace(trim=trim)
         shares = finger_shares(hold.shape[-2], config.grip)
         force = self.grip_force(state)[..., None] * shares * share
-        press = press_directions(measured.pad_pos, targets.normal, config.grip)
+        press = press_directions(measured.pad_pos, targets.position, targets.normal, config.grip)
         torque = control.grip_torques(jacobian, press, force)
 
         speed = jnp.where(state.lifting, self.lift_speed(state), 0.0)
@@ -342,7 +342,9 @@ class Closer:
         self, state: CloserState, measured: Measured, targets: ThreePoints
     ) -> tuple[Float[Array, "*b f"], Float[Array, "*b f"]]:
         """What each fingertip bears, estimated: along its pressing direction and across [N]."""
-        press = press_directions(measured.pad_pos, targets.normal, self.config.grip)
+        press = press_directions(
+            measured.pad_pos, targets.position, targets.normal, self.config.grip
+        )
         return pressing_and_sliding(self.forces(state, measured), press)
 
     def lift_speed(self, state: CloserState) -> Float[Array, "*b"]:

@@ -9,6 +9,8 @@ from jaxtyping import Array, Bool, Float
 from mjx_grasp.closing.config import ForceConfig, GripConfig
 from mjx_grasp.geometry.linear import solve_spd
 
+_OPPOSITE = 0.5  # least cosine between a normal and the line to the other side
+
 
 def tip_forces(
     torque: Float[Array, "*b f j"],
@@ -38,24 +40,35 @@ def tip_forces(
 
 
 def press_directions(
-    pads: Float[Array, "*b f 3"], normals: Float[Array, "*b f 3"], config: GripConfig
+    pads: Float[Array, "*b f 3"],
+    contacts: Float[Array, "*b f 3"],
+    normals: Float[Array, "*b f 3"],
+    config: GripConfig,
 ) -> Float[Array, "*b f 3"]:
     """Unit vectors along which the fingers press.
 
     Against the contacts' normals; or along the line between the thumb's pad and the middle of the
-    others, on which the thumb's force and theirs cancel.
+    others, on which the thumb's force and theirs cancel. Not where thumb and others grip a thin
+    wall at different heights: forces along one line make no couple, which is what those are for.
 
     Args:
         pads: Pad positions, the thumb's first [m].
-        normals: Outward unit normals at the contacts.
+        contacts: The contacts, in the same order [m].
+        normals: Outward unit normals there.
         config: Which of the two.
     """
     if config.direction == "normals":
         return -normals
-    line = jnp.mean(pads[..., 1:, :], axis=-2) - pads[..., 0, :]
-    line = line / jnp.sqrt(jnp.sum(line**2, axis=-1, keepdims=True) + 1e-12)
     sign = jnp.where(jnp.arange(pads.shape[-2]) == 0, 1.0, -1.0)[:, None]
-    return sign * line[..., None, :]
+    line = sign * _thumb_to_others(pads)[..., None, :]
+    across = sign * _thumb_to_others(contacts)[..., None, :]
+    opposite = jnp.all(jnp.sum(across * normals, axis=-1) <= -_OPPOSITE, axis=-1)
+    return jnp.where(opposite[..., None, None], line, -normals)
+
+
+def _thumb_to_others(points: Float[Array, "*b f 3"]) -> Float[Array, "*b 3"]:
+    line = jnp.mean(points[..., 1:, :], axis=-2) - points[..., 0, :]
+    return line / jnp.sqrt(jnp.sum(line**2, axis=-1, keepdims=True) + 1e-12)
 
 
 def finger_shares(fingers: int, config: GripConfig) -> Float[np.ndarray, " f"]:

@@ -16,6 +16,9 @@ from mjx_grasp.closing.forces import (
     tip_forces,
 )
 
+OUT = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
+CONTACTS = 0.03 * OUT + jnp.array([[0.0, 0, 0], [0, 0.02, 0], [0, -0.02, 0]])
+
 DT = 0.01
 seeds = st.integers(0, 2**31 - 1)
 
@@ -107,7 +110,7 @@ def test_batches_jit_and_turned_worlds_agree():
 def test_along_the_line_a_balanced_grip_pushes_the_object_nowhere(seed):
     rng = np.random.default_rng(seed)
     pads = jnp.asarray(rng.normal(size=(3, 3)) * 0.05, jnp.float32)
-    press = press_directions(pads, jnp.zeros((3, 3)), REACTING)
+    press = press_directions(pads, CONTACTS, OUT, REACTING)
     np.testing.assert_allclose(np.linalg.norm(press, axis=-1), 1.0, atol=1e-4)
     share = finger_shares(3, REACTING)
     np.testing.assert_allclose((share[:, None] * np.asarray(press)).sum(0), 0.0, atol=1e-5)
@@ -117,9 +120,28 @@ def test_along_the_line_a_balanced_grip_pushes_the_object_nowhere(seed):
 def test_a_plain_grip_presses_evenly_against_the_normals():
     normals = jnp.eye(3)
     plain = GripConfig()
-    np.testing.assert_array_equal(press_directions(jnp.zeros((3, 3)), normals, plain), -normals)
+    nowhere = jnp.zeros((3, 3))
+    np.testing.assert_array_equal(press_directions(nowhere, nowhere, normals, plain), -normals)
     np.testing.assert_array_equal(finger_shares(3, plain), np.ones(3))
     assert finger_shares(3, REACTING).mean() == pytest.approx(1.0)
+
+
+def test_across_a_thin_wall_at_different_heights_the_fingers_press_squarely():
+    """So that their forces are a couple; of many hands each for itself."""
+    thin = CONTACTS.at[1:, 0].set(-0.027).at[0, 2].set(0.015)
+    pads = CONTACTS + 0.01 * OUT
+    many = jnp.stack([CONTACTS, thin])
+    normals = jnp.broadcast_to(OUT, many.shape)
+    opposite, moved = press_directions(pads + 0 * many, many, normals, REACTING)
+    np.testing.assert_array_equal(opposite, press_directions(pads, CONTACTS, OUT, REACTING))
+    np.testing.assert_array_equal(moved, -OUT)
+    shares = finger_shares(3, REACTING)[:, None]
+    np.testing.assert_allclose((shares * np.asarray(moved)).sum(axis=0), 0.0, atol=1e-6)
+    torque = np.cross(np.asarray(thin), shares * np.asarray(moved)).sum(axis=0)
+    np.testing.assert_allclose(torque, [0.0, 0.015 * 1.5, 0.0], atol=1e-6)
+    # The thumb 30° off is still opposite.
+    askew = CONTACTS.at[0, 2].set(0.06 * np.tan(np.radians(30)))
+    assert not np.array_equal(press_directions(pads, askew, OUT, REACTING), -OUT)
 
 
 def test_pressing_and_sliding_are_the_parts_of_a_force():

@@ -22,17 +22,19 @@ def convex_pieces(path: Path) -> str:
     d = read_json(path, "a results file")
     rows, settings = d["rows"], d["settings"]
     asked = 1e3 * settings["single_hull_error"]
+    first, *finer = (division["max_pieces"] for division in settings["divisions"])
+    allowed = ", ".join([str(first), *(f"{most} where these are off by more" for most in finer)])
     kinds = {kind: sum(r["kind"] == kind for r in rows) for kind in ("sphere", "hull", "pieces")}
     beyond = [r for r in rows if r["outward_error_95_mm"] > asked]
     text = (
         f"Of {len(rows)} objects {kinds['sphere']} are spheres, {kinds['hull']} one hull (its "
         f"error is at most {asked:g} mm), {kinds['pieces']} coacd's pieces: at most "
-        f"{max(r['pieces'] for r in rows)} ({settings['max_pieces']} are allowed), of at most "
+        f"{max(r['pieces'] for r in rows)} ({allowed} are allowed), of at most "
         f"{max(r['most_vertices'] for r in rows)} vertices ({settings['max_vertices']})."
     )
     if beyond:
         names = ", ".join(_name(r) for r in beyond)
-        text += f" With all its pieces, each of these is still off by more than that: {names}."
+        text += f" With all their pieces these are still off by more than that: {names}."
     if d["without_scan"]:
         names = ", ".join(n.replace("_", " ") for n in d["without_scan"])
         text += f" Without a scan: {names}."

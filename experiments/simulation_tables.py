@@ -23,13 +23,14 @@ def convex_pieces(path: Path) -> str:
     rows, settings = d["rows"], d["settings"]
     asked = 1e3 * settings["single_hull_error"]
     first, *finer = (division["max_pieces"] for division in settings["divisions"])
-    allowed = ", ".join([str(first), *(f"{most} where these are off by more" for most in finer)])
+    more = [f", {most} where these are off by more" for most in finer]
+    allowed = f"{first} are allowed{''.join(more)}"
     kinds = {kind: sum(r["kind"] == kind for r in rows) for kind in ("sphere", "hull", "pieces")}
     beyond = [r for r in rows if r["outward_error_95_mm"] > asked]
     text = (
         f"Of {len(rows)} objects {kinds['sphere']} are spheres, {kinds['hull']} one hull (its "
         f"error is at most {asked:g} mm), {kinds['pieces']} coacd's pieces: at most "
-        f"{max(r['pieces'] for r in rows)} ({allowed} are allowed), of at most "
+        f"{max(r['pieces'] for r in rows)} ({allowed}), of at most "
         f"{max(r['most_vertices'] for r in rows)} vertices ({settings['max_vertices']})."
     )
     if beyond:

@@ -223,6 +223,7 @@ def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
     text = sys.modules["simulation_tables"].convex_pieces(out)
     assert "Of 3 objects 1 are spheres, 1 one hull" in text and "scan: wine glass" in text
     assert "| mug | pieces | 2 | 8 | 0.00 | 2" in text
+    assert "at most 2 (12 are allowed, 24 where these are off by more), of at most 8" in text
 
 
 def test_a_training_is_summed_up_by_the_iterations_in_which_episodes_ended(tmp_path):

@@ -16,7 +16,9 @@ from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import (
     CANDIDATES,
+    LEVERED,
     STEERED_AT_LEAST,
+    STEERED_CANDIDATES,
     STEERED_SCORE,
     check_graspable,
     known_object,
@@ -53,6 +55,25 @@ def test_objects_are_known_together_as_one_by_one_and_of_the_best_candidates(rob
         assert kept.sum() == plain.valid.sum() and not np.asarray(ours.score)[~kept].any()
         np.testing.assert_allclose(ours.thumb[kept], plain.thumb[plain.valid])
         np.testing.assert_allclose(ours.score[kept], plain.score[plain.valid], atol=1e-6)
+
+
+def test_a_bowls_wall_may_be_gripped_at_two_heights(robot):
+    """As it stands, the finger inside is higher. What has no thin wall has no such candidate."""
+    bowl, brick = load_objects(["bowl", "foam_brick"])
+    heatmap = heatmap_of(bowl, robot.hand)
+    steered = known_object(bowl, robot, heatmap, heatmap.score)
+    for known, count in ((known_object(bowl, robot), CANDIDATES), (steered, STEERED_CANDIDATES)):
+        further = jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[count:], known.candidates)
+        assert len(further.score) == LEVERED and further.valid.sum() > 30
+        stands = jax.tree.map(lambda leaf: leaf[::4], further)  # the first of four ways up
+        wraps = stands.wrap.mean(axis=1)
+        higher = stands.thumb[:, 2] - wraps[:, 2]
+        out = np.sum(stands.axis[:, :2] * stands.thumb[:, :2], axis=1)  # the thumb is inside
+        upright = stands.valid & (np.abs(stands.axis[:, 2]) < 0.8)
+        assert upright.sum() > 5 or known is steered
+        assert np.all(np.sign(higher[upright]) == np.sign(out[upright]))
+        assert np.all(np.abs(higher[upright]) > 0.005)
+    assert not np.asarray(known_object(brick, robot).candidates.valid)[CANDIDATES:].any()
 
 
 @pytest.mark.wrong_types

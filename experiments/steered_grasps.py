@@ -244,8 +244,10 @@ class Steered:
         self._objects = objects = list(load_objects(config.objects, config.objects_dir))
         self._places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
         counts = [sum(place.index == k for place in self._places) for k in range(len(objects))]
-        scene = build_scene(objects, self._robot)
-        drawn = [draw_problem(scene, n, config.seed, objects=[k]) for k, n in enumerate(counts)]
+        self._scene = build_scene(objects, self._robot)
+        drawn = [
+            draw_problem(self._scene, n, config.seed, objects=[k]) for k, n in enumerate(counts)
+        ]
         self._problem = GraspProblem(
             object_index=np.repeat(np.arange(len(objects)), counts),
             p_wo=np.concatenate([part.p_wo for part in drawn]),
@@ -288,7 +290,7 @@ class Steered:
 
     @functools.cached_property
     def _physics(self) -> NativePhysics:
-        return NativePhysics(build_scene(self._objects, self._robot), self._grasper(DEFAULT)[0].dt)
+        return NativePhysics(self._scene, self._grasper(DEFAULT)[0].dt)
 
 
 def main(config: SteeredConfig) -> None:

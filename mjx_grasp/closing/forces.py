@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.closing.config import ForceConfig, GripConfig
 from mjx_grasp.geometry.linear import solve_spd
+from mjx_grasp.grasp.levered import across_thin_wall
 
 _OPPOSITE = 0.5  # least cosine between a normal and the line to the other side
 
@@ -62,8 +63,9 @@ def press_directions(
     sign = jnp.where(jnp.arange(pads.shape[-2]) == 0, 1.0, -1.0)[:, None]
     line = sign * _thumb_to_others(pads)[..., None, :]
     across = sign * _thumb_to_others(contacts)[..., None, :]
-    opposite = jnp.all(jnp.sum(across * normals, axis=-1) <= -_OPPOSITE, axis=-1)
-    return jnp.where(opposite[..., None, None], line, -normals)
+    beside = jnp.any(jnp.sum(across * normals, axis=-1) > -_OPPOSITE, axis=-1)
+    levered = beside & across_thin_wall(contacts)
+    return jnp.where(levered[..., None, None], -normals, line)
 
 
 def _thumb_to_others(points: Float[Array, "*b f 3"]) -> Float[Array, "*b 3"]:

@@ -8,7 +8,7 @@ forces make a couple, against that of the weight.
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.vectors import norm, unit
 from mjx_grasp.grasp.candidates import Candidates
@@ -20,6 +20,15 @@ LEVER_M = 0.015
 _LEAST_ARM_M = 0.020  # of the weight: with less, fingertips bear the moment by themselves
 _NEAR = 0.3  # share of the lever: so near to where the thumb is to be there has to be a surface
 _ALIKE = 0.8  # least cosine between the normals there and where the thumb was
+
+
+def across_thin_wall(contacts: Float[Array, "*n f 3"]) -> Bool[Array, "*n"]:
+    """Whether the thumb and the middle of the others are so near that only a thin wall is between.
+
+    Args:
+        contacts: The thumb's first [m].
+    """
+    return norm(jnp.mean(contacts[..., 1:, :], axis=-2) - contacts[..., 0, :]) <= THIN_M
 
 
 def levered(

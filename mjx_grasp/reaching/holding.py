@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.geometry.signed_distance import Shape, signed_distance
-from mjx_grasp.geometry.vectors import dot, norm, unit
-from mjx_grasp.grasp.levered import THIN_M
+from mjx_grasp.geometry.vectors import dot, unit
+from mjx_grasp.grasp.levered import across_thin_wall
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.surroundings import Surroundings
@@ -47,10 +47,8 @@ def opposing(
     line = unit(0.5 * (contacts[..., 1, :] + contacts[..., 2, :]) - contacts[..., 0, :])
     thumb, wraps = normals[..., 0, :], unit(normals[..., 1, :] + normals[..., 2, :])
     straight = (dot(line, -thumb) >= least) & (dot(line, wraps) >= least)
-    across = unit(wraps - thumb)
-    facing = dot(across, wraps) >= least
-    between = 0.5 * (contacts[..., 1, :] + contacts[..., 2, :]) - contacts[..., 0, :]
-    return straight | (facing & (norm(between) <= THIN_M))
+    facing = dot(unit(wraps - thumb), wraps) >= least
+    return straight | (facing & across_thin_wall(contacts))
 
 
 def met(

@@ -10,12 +10,14 @@ import pytest
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Box, Sphere
+from mjx_grasp.grasp.targets import TargetOptions
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import pressing_force
 from mjx_grasp.reaching.holding import can_hold, met, opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.plan_costs import FAILED, closing_costs
+from mjx_grasp.reaching.planning import held_easily
 
 OUT = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
 CONTACTS = 0.03 * OUT + jnp.array([[0.0, 0, 0], [0, 0.01, 0], [0, -0.01, 0]])
@@ -95,6 +97,26 @@ def test_wraps_meet_a_wall_up_to_its_edge():
     assert meet(x=0.020) and meet(x=-0.006) and not meet(x=0.045)
     many = jnp.stack([jnp.zeros((3, 3)), jnp.full((3, 3), 0.2)])
     np.testing.assert_array_equal(met(plate, many, OUT[None]), [True, False])
+
+
+def test_plans_are_for_contacts_that_fingers_meet_as_long_as_there_are_any():
+    plate = Surroundings.still(Box(jnp.array([0.003, 0.04, 0.03])), jnp.zeros(3), jnp.eye(3))
+    at = jnp.array([[-0.003, 0, 0], [0.003, 0.02, 0], [0.003, -0.02, 0]])
+    past = at.at[1:, 2].set(0.034).at[0, 2].set(0.029)  # beyond the rim
+    position, normal = jnp.stack([at, past, at]), jnp.stack([OUT, OUT, ADJACENT])
+    along = jnp.tile(jnp.array([0.0, 1.0, 0.0]), (3, 1))
+    ones = jnp.ones(3, bool)
+    options = TargetOptions(np.arange(3), np.zeros(3, int), along, position, normal, ones)
+    plan = PlanConfig(must_hold=0.5)
+
+    def looked_for(*usable):
+        return np.asarray(held_easily(plan, options, jnp.array(usable), plate)).tolist()
+
+    assert looked_for(True, True, True) == [True, False, False]
+    assert looked_for(False, True, True) == [False, True, False], "better than none"
+    assert looked_for(False, False, True) == [False] * 3
+    every = np.asarray(held_easily(PlanConfig(), options, ones, plate))
+    assert every.all(), "it is not looked at"
 
 
 def test_a_hand_holds_what_its_thumb_can_press_for(body):

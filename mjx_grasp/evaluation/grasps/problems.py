@@ -19,8 +19,10 @@ from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import Scene
 
 _DRAWS = 20
-"""Poses drawn for each that is wanted, and for ten more, where they are to be away from
-something; and times that poses are drawn until enough are clear of the robot."""
+"""Poses drawn at once for each that is wanted, and for ten more, where they are to be away from
+something."""
+_ROUNDS = 20
+"""Times that poses are drawn until enough of them are clear."""
 
 
 class Away(NamedTuple):
@@ -65,7 +67,7 @@ def draw_problem(
         rng = np.random.default_rng([seed, int(obj.content_hash[:8], 16)])
         resting = poses_at_rest(obj, config.standing)
         found: list[tuple[np.ndarray, np.ndarray]] = []
-        for _ in range(_DRAWS):
+        for _ in range(_ROUNDS):
             wanted = trials if away is None else _DRAWS * (trials + 10)
             drawn = sample_object_poses(resting, wanted, config, rng)
             for p, quat in zip(*drawn, strict=True):
@@ -74,8 +76,6 @@ def draw_problem(
                     found.append((p, quat))
                 if len(found) == trials:
                     return np.stack([p for p, _ in found]), np.stack([q for _, q in found])
-            if away is not None and not found:
-                break
         if away is not None:
             raise InputError("away", away.distance, "less: the object area ends before [m]")
         raise InputError("object", obj.name, "one with room beside the robot at home")

@@ -108,12 +108,17 @@ VARIANTS = {
     ),
     "no-look-ahead": Variant(
         "plans do not look ahead to closing and lift",
-        {"reaching.plan.lift_error": _NEVER, "reaching.plan.touch_error": _NEVER},
+        {
+            "reaching.plan.lift_error": _NEVER,
+            "reaching.plan.touch_error": _NEVER,
+            "reaching.plan.pad_weight": 0.0,
+        },
     ),
     "no-statics": Variant(
         "plans do not look at what the contacts and the thumb can hold",
         {
             "reaching.plan.hold_weight": 0.0,
+            "reaching.plan.lever_weight": 0.0,
             "reaching.plan.edge_weight": 0.0,
             "reaching.plan.press_weight": 0.0,
             "reaching.plan.heavier": _NEVER,

@@ -65,8 +65,9 @@ def whole_grasps(
     """A preset of reaching that also looks ahead to what follows it, where it plans at all.
 
     Postures from which the arm cannot lift straight up, or a finger not touch its contact, come
-    last: the farther short, the later. So do contacts near an edge and those that need much force;
-    those that no force of this hand can hold are not planned for.
+    last: the farther short, the later. So do fingers that would touch with their side, contacts
+    near an edge, beside the centre of mass, and those that need much force; those that no force of
+    this hand can hold are not planned for.
     Short ways count more than in reaching alone.
 
     Args:
@@ -98,7 +99,9 @@ def whole_grasps(
         lift_error=0.03,
         touch_error=0.016,
         haste=6.0,
-        touch_weight=200.0,
+        touch_weight=600.0,
+        pad_weight=20.0,
+        lever_weight=250.0,
         hold_weight=8.0,
         must_hold=ContactConfig().friction,
         press_weight=4.0,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.geometry.linear import damped_least_squares, full_precision
-from mjx_grasp.geometry.vectors import norm
+from mjx_grasp.geometry.vectors import dot, norm
 from mjx_grasp.posture.body import FINGERS, Body
 from mjx_grasp.robot.indices import robot_indices
 
@@ -73,6 +73,20 @@ def touching(
 
     closed, _ = jax.lax.scan(step, jnp.asarray(q), length=_ITERATIONS)
     return Touching(norm(missing(closed)[0]), closed)
+
+
+def pad_angles(
+    body: Body, q: Float[Array | np.ndarray, " joints"], normals: Float[Array, "f 3"]
+) -> Float[Array, " f"]:
+    """How far each pad is turned from facing its contact [rad].
+
+    Args:
+        body: The robot.
+        q: Configuration with the fingers on their contacts, as from `touching` [rad].
+        normals: Outward unit normals of the surface there, world [-].
+    """
+    outward = -body.kinematics.motion(jnp.asarray(q)).mat[_PADS, :, 0]
+    return jnp.arccos(jnp.clip(dot(outward, normals), -1.0, 1.0))
 
 
 @full_precision

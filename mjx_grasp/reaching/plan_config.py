@@ -43,6 +43,14 @@ class PlanConfig(Settings):
     """the same of the finger that stays farthest from its contact when it closes [m]"""
     touch_weight: NonNegative = 0.0
     """time that such a distance below that bound counts as, where the bound is finite [s/m]"""
+    pad_weight: NonNegative = 0.0
+    """time that a radian counts as by which the closed finger that faces its contact least is
+    turned beyond the angle below, and touches with its side; by default not at all [s/rad]"""
+    pad_angle: NonNegative = 0.8
+    """[rad]"""
+    lever_weight: NonNegative = 0.0
+    """time that a metre counts as between the middle of the contacts and the centre of mass, seen
+    from above: the object hangs askew there and turns; by default not at all [s/m]"""
     hold_weight: NonNegative = 0.0
     """time that a force of once the object's weight counts as, where its contacts ask for so much
     more to hold it than two upright walls would; by default that is not looked at [s]"""

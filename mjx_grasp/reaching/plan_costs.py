@@ -24,8 +24,9 @@ from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.ik import IkSolution
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings, to_object
-from mjx_grasp.posture.touch import pressing_force, touching
+from mjx_grasp.posture.touch import pad_angles, pressing_force, touching
 from mjx_grasp.reaching.approach import deviation
+from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.reaching.holding import can_hold, pull
 from mjx_grasp.reaching.plan_config import PlanConfig
 
@@ -87,13 +88,17 @@ def closing_costs(
         lift = jax.vmap(lambda q: scripted_lift(body, q, plan.lift_height).error)(q)
         lacking = lacking + jnp.maximum(lift - plan.lift_error, 0.0)
     weight = around.weight if plan.press_weight > 0 else None
-    if weight is None and not (np.isfinite(plan.touch_error) or np.isfinite(plan.must_hold)):
+    looks = np.isfinite(plan.touch_error) or np.isfinite(plan.must_hold) or plan.pad_weight > 0
+    if weight is None and not looks:
         return _LACKING * lacking
     closed = jax.vmap(lambda q, at: touching(body, q, at))(q, contacts)
     if np.isfinite(plan.touch_error):
         touch = jnp.max(closed.error, axis=1)
         lacking = lacking + jnp.maximum(touch - plan.touch_error, 0.0)
         late = plan.touch_weight * touch
+    if plan.pad_weight > 0:
+        turned = jax.vmap(lambda q, n: pad_angles(body, q, n))(closed.q, normals)
+        late = late + plan.pad_weight * jnp.maximum(jnp.max(turned, axis=1) - plan.pad_angle, 0.0)
     if weight is not None:
         load = pull(around, weight)
         late = late + _press_costs(body, plan, closed.q, contacts, normals, load)
@@ -147,6 +152,9 @@ def slip_costs(
         # The thumb bears half the weight, and of walls that stand upright by friction alone.
         excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
         lacking = lacking + plan.hold_weight * jnp.maximum(excess, 0.0)
+    if plan.lever_weight > 0:
+        beside = jax.vmap(midpoint)(contacts) - pull(around, 1.0).point
+        lacking = lacking + plan.lever_weight * norm(beside.at[:, 2].set(0.0))
     if plan.edge_weight > 0:
         circle = circles(contacts, normals, plan.edge_radius)
         falls = signed_distance(around.shape, to_object(around, circle))

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjx_grasp.posture.touch import pressing_force, touch_errors, touching
+from mjx_grasp.posture.touch import pad_angles, pressing_force, touch_errors, touching
 from mjx_grasp.robot.indices import robot_indices
 
 
@@ -101,3 +101,17 @@ def test_motors_without_limits_press_as_hard_as_one_likes(body):
     free = replace(body, torque_limit=np.full_like(body.torque_limit, np.inf))
     inward = np.tile(np.float32([0, 0, 1]), (3, 1))
     assert np.isinf(pressing_force(free, body.home, jnp.asarray(inward))).all()
+
+
+def test_a_pad_faces_what_its_axis_points_at_by_mujoco(body):
+    """Its site's x axis points out of the finger; turned normals are off by as much."""
+    model = mujoco.MjModel.from_xml_path(str(body.robot.mjcf))
+    data = mujoco.MjData(model)
+    q = folded(body, 1, 3)[0]
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mats = [data.site(f.pad_site).xmat.reshape(3, 3) for f in body.robot.hand.fingers]
+    for angle in (0.0, 0.4, 1.3, np.pi):
+        normals = [-np.cos(angle) * m[:, 0] + np.sin(angle) * m[:, 1] for m in mats]
+        found = pad_angles(body, q, jnp.asarray(np.float32(normals)))
+        np.testing.assert_allclose(found, angle, atol=2e-3)

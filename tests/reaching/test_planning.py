@@ -250,6 +250,10 @@ def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(plan
     assert lower > level + 0.05
     assert cost(half, (0.0, 0.02, 0.0), hold_weight=3.0) == pytest.approx(3 * lower, rel=1e-3)
 
+    # Seen from above, the middle is half thumb, half wraps.
+    assert cost(half, (0.02, 0.0, 0.03), lever_weight=2.0) == pytest.approx(0.04, abs=1e-5)
+    assert cost(half, (0.0, 0.0, 0.03), lever_weight=2.0) == pytest.approx(0.0, abs=1e-5)
+
 
 @pytest.mark.long
 def test_plans_hold_an_object_where_its_weight_is_if_force_counts(planned):
@@ -350,3 +354,24 @@ def test_postures_cost_by_what_the_thumb_cannot_press(planned):
     around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
     around = around._replace(weight=jnp.float32(60.0))
     assert float(closing_costs(inf, plan, q, contacts, out[None], around)[0]) == 0.0
+
+
+def test_postures_cost_by_the_finger_that_faces_its_contact_least(planned):
+    """As its normal turns away from where the pad points, beyond a bound."""
+    reacher, plan, _, _, _ = planned
+    body = reacher.body
+    q = jnp.asarray(body.home)
+    motion = body.kinematics.motion(q)
+    pads, facing = motion.pos[FINGERS:PALM], -motion.mat[FINGERS:PALM, :, 0]
+    aside = motion.mat[FINGERS:PALM, :, 1]
+    around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
+
+    def cost(angles, weight=2.0):
+        angles = jnp.array(angles)[:, None]
+        normals = jnp.cos(angles) * facing + jnp.sin(angles) * aside
+        config = replace(plan, pad_weight=weight, pad_angle=0.8)
+        return float(closing_costs(body, config, q[None], pads[None], normals[None], around)[0])
+
+    assert cost((0.0, 0.5, 0.75)) == pytest.approx(0.0, abs=1e-3)
+    assert cost((0.0, 1.3, 0.9)) == pytest.approx(2.0 * 0.5, abs=5e-3)
+    assert cost((1.0, 0.0, 0.0), 4.0) == pytest.approx(4.0 * 0.2, abs=1e-2)

@@ -57,6 +57,8 @@ class CloserState(NamedTuple):
     """F, the grip's force per finger, before the policy's factor [N]"""
     trim: Float[Array, "*b"]
     """logarithm of that factor, as a share of its range, in ±1"""
+    least: Float[Array, "*b"]
+    """F that is commanded at least, whatever that factor [N]"""
     landed: Bool[Array, "*b f"]
     """whether a finger has ever touched"""
     grip_ticks: Int[Array, "*b f"]
@@ -111,6 +113,7 @@ class Closer:
             observed=none,
             level=jnp.full(batch, self.config.grip.force, jnp.float32),
             trim=jnp.zeros(batch),
+            least=jnp.zeros(batch),
             landed=none,
             grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),
             lifting=no,
@@ -313,8 +316,8 @@ class Closer:
         return state.lift_tick * self.config.control_dt >= stages.lift_duration(self.config.lift)
 
     def grip_force(self, state: CloserState) -> Float[Array, "*b"]:
-        """F as it is commanded: the level times the policy's factor [N]."""
-        return state.level * self.config.action.grip_range**state.trim
+        """F as it is commanded: the level times the policy's factor, or the least if more [N]."""
+        return jnp.maximum(state.level * self.config.action.grip_range**state.trim, state.least)
 
     def forces(self, state: CloserState, measured: Measured) -> Float[Array, "*b f 3"]:
         """Force of the object on each fingertip, estimated from joint torques [N], world frame.

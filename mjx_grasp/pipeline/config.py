@@ -51,6 +51,9 @@ class GrasperConfig(Settings):
     hardest: NonNegative = 8.0
     """times the known weight with which the thumb begins to press at most: contacts that ask for
     more are not held by force [-]"""
+    across_walls: NonNegative = 1.4
+    """times the force by the known weight with which a thin wall is gripped at least once the lift
+    is due, whatever a policy says: with less the object turns before it is felt [-]"""
     timeout_s: PositiveOrNever = 20.0
     """from the start to the end of the lift [s]"""
     servo: ServoConfig = ServoConfig()

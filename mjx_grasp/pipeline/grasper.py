@@ -31,6 +31,7 @@ from mjx_grasp.closing.learned import (
 )
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import norm, turned_back
+from mjx_grasp.grasp.levered import across_thin_wall
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.grasp.targets import three_normals, three_points
 from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
@@ -386,11 +387,19 @@ class Grasper:
     def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
         """Presses with no less than the plan says, where the grip answers to load.
 
-        Before the lift nothing is felt of the weight; once a heavy object slips it is late.
+        Before the lift nothing is felt of the weight; once a heavy object slips it is late, and
+        once one turns that hangs on a thin wall. That is gripped harder, but not before all is
+        ready for the lift: it would be pushed away.
         """
-        if self.closer.config.grip.friction is None or state.ways is None:
+        grip = self.closer.config.grip
+        if grip.friction is None or state.ways is None:
             return closer
-        return closer._replace(level=jnp.maximum(closer.level, state.ways.force[state.reach.plan]))
+        force = state.ways.force[state.reach.plan]
+        hangs = closer.lifting & across_thin_wall(state.closing.contacts.position)
+        most = jnp.minimum(self.config.across_walls * force, grip.most)
+        least = jnp.where(hangs, most, 0.0)
+        level = jnp.maximum(closer.level, jnp.maximum(force, least))
+        return closer._replace(level=level, least=least)
 
     def _force(self, known: Known, seen: Seen, plan: Plans) -> Float[Array, ""]:
         """F that holds the known weight by a plan's contacts at the grip's own friction μ₀ [N].

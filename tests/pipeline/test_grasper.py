@@ -11,7 +11,7 @@ import pytest
 from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.closer import Closer
-from mjx_grasp.closing.config import REACTING, CloserConfig, LiftConfig, StageConfig
+from mjx_grasp.closing.config import REACTING, ActionConfig, CloserConfig, LiftConfig, StageConfig
 from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
@@ -515,6 +515,28 @@ def test_a_grip_begins_in_proportion_to_the_weight_and_not_harder_where_no_force
     assert force(1.0, beside, hardest=6.0) == pytest.approx(6.0 / thumb)
     assert force(1.0, beside, hardest=1.0) == pytest.approx(REACTING.force)
     assert force(100.0, beside) == pytest.approx(20.0)
+
+
+@pytest.mark.wrong_types
+def test_a_thin_wall_is_gripped_harder_once_the_lift_is_due_whatever_a_policy_says(make, begun):
+    grip, action = replace(REACTING, most=20.0), ActionConfig(grip_range=3.0)
+    closing = replace(QUICK, grip=grip, action=action)
+    grasper = make(closing=closing, config=GrasperConfig(across_walls=1.5))
+
+    def commanded(width, lifting, force=4.0):
+        wraps = [[width, 0.01, 0.0], [width, -0.01, 0.0]]
+        contacts = SimpleNamespace(position=jnp.array([[0.0, 0.0, 0.0], *wraps]))
+        state = SimpleNamespace(
+            ways=SimpleNamespace(force=jnp.array([force])),
+            reach=SimpleNamespace(plan=0),
+            closing=SimpleNamespace(contacts=contacts),
+        )
+        eased = begun.closing.closer._replace(trim=jnp.float32(-1.0), lifting=jnp.asarray(lifting))
+        return float(grasper.closer.grip_force(grasper._preloaded(eased, state)))
+
+    assert commanded(0.010, True) == pytest.approx(1.5 * 4.0)
+    assert commanded(0.010, False) == commanded(0.030, True) == pytest.approx(4.0 / 3.0)
+    assert commanded(0.010, True, force=18.0) == pytest.approx(20.0), "no more than fingers can"
 
 
 def test_weight_and_load_may_raise_the_grip_of_a_whole_grasp_as_far_as_fingers_can(robot):

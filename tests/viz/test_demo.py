@@ -19,7 +19,7 @@ from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.demo.page import Shown, demo_page
-from mjx_grasp.viz.demo.plots import Curves, Stage
+from mjx_grasp.viz.demo.plots import Curves, Stage, forces_up_to
 from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
 from mjx_grasp.viz.heatmap import Subject
 
@@ -171,3 +171,16 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
     assert on_stem["contacts"].all() and not on_stem["axis"].all()
     assert run._place(glass, DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
     assert run._place(glass, DemoConfig()) is None
+
+
+def test_the_axis_of_forces_shows_the_estimated_ones_too_but_for_spikes():
+    still = np.zeros((400, 3))
+    flags = still > 0
+    seen = Curves(np.arange(400.0), still, flags, flags, felt=still, force=still, rise=still[:, 0])
+    assert forces_up_to(seen) == pytest.approx(1.15 * 2.0)
+    thumb = np.tile([10.0, 0.0, 0.0], (400, 1))
+    assert forces_up_to(seen._replace(felt=thumb)) == pytest.approx(11.5)
+    assert forces_up_to(seen._replace(force=thumb)) == pytest.approx(11.5)
+    spike = thumb.copy()
+    spike[200] = 100.0
+    assert forces_up_to(seen._replace(felt=spike)) == pytest.approx(11.5)

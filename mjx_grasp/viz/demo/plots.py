@@ -70,7 +70,7 @@ def grasp_plot(curves: Curves, stages: list[Stage]) -> bytes:
     errors.legend(frameon=False, fontsize=9, loc="upper right", ncols=3)
     contacts.set_ylim(0, 3)
     contacts.set_yticks([0.5, 1.5, 2.5], [name for name, _ in reversed(FINGERS)], fontsize=9)
-    forces.set_ylim(0, 1.15 * max(2.0, float(np.percentile(curves.force, 99.5))))
+    forces.set_ylim(0, forces_up_to(curves))
     rise.plot(t, 1e3 * curves.rise, color="#1f2630", linewidth=1.8)
     rise.axhline(_LIFTED_MM, color=GREY, linewidth=0.8, linestyle="--")
     rise.set_xlabel("time [s]", fontsize=9, color=GREY)
@@ -87,6 +87,12 @@ def grasp_plot(curves: Curves, stages: list[Stage]) -> bytes:
         for stage in stages:
             ax.axvspan(stage.start, stage.end, color=STAGES[stage.name], zorder=0, linewidth=0)
     return png(figure)
+
+
+def forces_up_to(curves: Curves) -> float:
+    """Top of the axis of forces, above the simulator's and the estimated but for spikes [N]."""
+    either = np.stack([curves.force, curves.felt])
+    return 1.15 * max(2.0, float(np.nanpercentile(either, 99.5, axis=1).max()))
 
 
 def stage_plot(stages: list[Stage]) -> bytes:

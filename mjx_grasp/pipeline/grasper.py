@@ -396,8 +396,8 @@ class Grasper:
             return closer
         force = state.ways.force[state.reach.plan]
         hangs = closer.lifting & across_thin_wall(state.closing.contacts.position)
-        most = jnp.minimum(self.config.across_walls * force, grip.most)
-        least = jnp.where(hangs, most, 0.0)
+        harder = jnp.minimum(self.config.across_walls * force, grip.most)
+        least = jnp.where(hangs, harder, 0.0)
         level = jnp.maximum(closer.level, jnp.maximum(force, least))
         return closer._replace(level=level, least=least)
 

@@ -75,6 +75,7 @@ def touching(
     return Touching(norm(missing(closed)[0]), closed)
 
 
+@full_precision
 def pad_angles(
     body: Body, q: Float[Array | np.ndarray, " joints"], normals: Float[Array, "f 3"]
 ) -> Float[Array, " f"]:

@@ -93,6 +93,9 @@ VARIANTS = {
     "weight-unknown": Variant(
         "the grip does not begin with the force for the known weight", scenario={"weighed": False}
     ),
+    "walls-alike": Variant(
+        "thin walls are gripped no harder than all else", {"grasper.across_walls": 0.0}
+    ),
     "grip": Variant(
         "the grip that answers to load closes, no policy",
         {"closing": CloserConfig(grip=REACTING), "policy": False},

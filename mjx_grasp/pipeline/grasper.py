@@ -12,7 +12,6 @@ longer than a control period. Until then the old plan is followed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,7 +20,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import stages
 from mjx_grasp.closing.closer import Closer, CloserState
-from mjx_grasp.closing.forces import finger_shares
 from mjx_grasp.closing.learned import (
     LearnedPolicy,
     first_stack,
@@ -31,13 +29,11 @@ from mjx_grasp.closing.learned import (
 )
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import norm, turned_back
-from mjx_grasp.grasp.levered import across_thin_wall
 from mjx_grasp.grasp.points import ThreePoints
-from mjx_grasp.grasp.targets import three_normals, three_points
-from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.pose_filter import estimated, start_estimate
+from mjx_grasp.pipeline.pressing import force_of_plan, preloaded
 from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
 from mjx_grasp.pipeline.state import (
     ClosingMemory,
@@ -53,7 +49,6 @@ from mjx_grasp.pipeline.state import (
     to_world,
 )
 from mjx_grasp.pipeline.worlds import for_those
-from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
@@ -133,7 +128,12 @@ class Grasper:
         away = norm(known.candidates.thumb - tried.avoid) >= self.config.avoided
         candidates = known.candidates._replace(valid=known.candidates.valid & away)
         plans = self.planner.search(library, candidates, around, q, key, tried.failures).plans
-        return Ways(plans, jax.vmap(partial(self._force, known, seen))(plans))
+        targets, grip = self.reacher.selection.targets, self.closer.config.grip
+
+        def force(plan: Plans) -> Float[Array, ""]:
+            return force_of_plan(known, seen, plan, targets, grip, self.config)
+
+        return Ways(plans, jax.vmap(force)(plans))
 
     def start(
         self, measured: Measured, known: Known, seen: Seen, ways: Ways | None = None
@@ -317,7 +317,9 @@ class Grasper:
         begun = self.closer.start(measured, points)
         sensed = self.closer.sense(before.closer, measured, points, seen.touching)
         closer = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), begun, sensed)
-        closer = self._preloaded(closer, state)
+        if state.ways is not None:
+            force, grip = state.ways.force[state.reach.plan], self.closer.config.grip
+            closer = preloaded(closer, before.contacts.position, force, grip, config)
         action = jnp.where(fresh, 0.0, before.action)
         first = self._first_stack(closer, measured, points, action)
         stack = jnp.where(fresh, first, pushed(before.stack, first[-1]))
@@ -383,42 +385,6 @@ class Grasper:
         """The start of a reach that waits for new plans."""
         begun = self._start_reach(measured, known, seen, ways)
         return begun._replace(stale=jnp.asarray(ways is not None))
-
-    def _preloaded(self, closer: CloserState, state: GraspState) -> CloserState:
-        """Presses with no less than the plan says, where the grip answers to load.
-
-        Before the lift nothing is felt of the weight; once a heavy object slips it is late, and
-        once one turns that hangs on a thin wall. That is gripped harder, but not before all is
-        ready for the lift: it would be pushed away.
-        """
-        grip = self.closer.config.grip
-        if grip.friction is None or state.ways is None:
-            return closer
-        force = state.ways.force[state.reach.plan]
-        hangs = closer.lifting & across_thin_wall(state.closing.contacts.position)
-        harder = jnp.minimum(self.config.across_walls * force, grip.most)
-        least = jnp.where(hangs, harder, 0.0)
-        level = jnp.maximum(closer.level, jnp.maximum(force, least))
-        return closer._replace(level=level, least=least)
-
-    def _force(self, known: Known, seen: Seen, plan: Plans) -> Float[Array, ""]:
-        """F that holds the known weight by a plan's contacts at the grip's own friction μ₀ [N].
-
-        The wrench margin's force is that of the thumb, which presses with 3/2 F where it bears what
-        the wraps bear together.
-        """
-        grip, targets = self.closer.config.grip, self.reacher.selection.targets
-        if grip.friction is None:
-            return jnp.float32(grip.force)
-        of = jax.tree.map(lambda leaf: leaf[plan.candidate], known.candidates)
-        centre = known.candidates.centre[plan.candidate]
-        position = three_points(of.thumb, centre, plan.spread, targets)
-        load = Load(known.weight * -seen.R_wo[2], known.com)
-        contact = ContactConfig(friction=grip.friction)
-        thumb = holding_force(position, -three_normals(of.normal, of.wrap_normal), load, contact)
-        share = finger_shares(FINGERS, grip)[0]
-        most = jnp.clip(self.config.hardest * known.weight / share, grip.force, grip.most)
-        return jnp.clip(thumb / share, grip.force, most)
 
     def _stop(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen

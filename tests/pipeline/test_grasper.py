@@ -24,6 +24,7 @@ from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
+from mjx_grasp.pipeline.pressing import preloaded
 from mjx_grasp.pipeline.state import Known, Seen, Tried
 from mjx_grasp.reaching import admm
 from mjx_grasp.reaching.config import HandoffGate
@@ -517,22 +518,16 @@ def test_a_grip_begins_in_proportion_to_the_weight_and_not_harder_where_no_force
     assert force(100.0, beside) == pytest.approx(20.0)
 
 
-@pytest.mark.wrong_types
-def test_a_thin_wall_is_gripped_harder_once_the_lift_is_due_whatever_a_policy_says(make, begun):
-    grip, action = replace(REACTING, most=20.0), ActionConfig(grip_range=3.0)
-    closing = replace(QUICK, grip=grip, action=action)
-    grasper = make(closing=closing, config=GrasperConfig(across_walls=1.5))
+def test_a_thin_wall_is_gripped_harder_once_the_lift_is_due_whatever_a_policy_says(robot, begun):
+    grip, config = replace(REACTING, most=20.0), GrasperConfig(across_walls=1.5)
+    closer = Closer.of(robot, replace(QUICK, grip=grip, action=ActionConfig(grip_range=3.0)))
 
     def commanded(width, lifting, force=4.0):
-        wraps = [[width, 0.01, 0.0], [width, -0.01, 0.0]]
-        contacts = SimpleNamespace(position=jnp.array([[0.0, 0.0, 0.0], *wraps]))
-        state = SimpleNamespace(
-            ways=SimpleNamespace(force=jnp.array([force])),
-            reach=SimpleNamespace(plan=0),
-            closing=SimpleNamespace(contacts=contacts),
-        )
+        contacts = jnp.array([[0.0, 0.0, 0.0], [width, 0.01, 0.0], [width, -0.01, 0.0]])
         eased = begun.closing.closer._replace(trim=jnp.float32(-1.0), lifting=jnp.asarray(lifting))
-        return float(grasper.closer.grip_force(grasper._preloaded(eased, state)))
+        return float(
+            closer.grip_force(preloaded(eased, contacts, jnp.float32(force), grip, config))
+        )
 
     assert commanded(0.010, True) == pytest.approx(1.5 * 4.0)
     assert commanded(0.010, False) == commanded(0.030, True) == pytest.approx(4.0 / 3.0)

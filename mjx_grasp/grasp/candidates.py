@@ -93,9 +93,13 @@ def from_heatmap(
 
 
 def first_and_rest(
-    heatmap: Heatmap, score: Float[Array, " v"] | None, first: int, count: int
+    heatmap: Heatmap,
+    score: Float[Array, " v"] | None,
+    first: int,
+    count: int,
+    rest_scored: bool = False,
 ) -> Candidates:
-    """The best by a score, and without a score some others that are to be had where those are not.
+    """The best by a score, and some others that are to be had where those are not.
 
     The others are the best by the heatmap's own score in each direction of the grasp axis, so that
     there are some for an object that lies on its best faces, or on the anchor. Jittable.
@@ -105,13 +109,15 @@ def first_and_rest(
         score: Steered scores; the heatmap's own if None.
         first: How many are chosen by the score.
         count: How many in all; those that are wanting are invalid.
+        rest_scored: Whether the others have the score, too; else they have none.
     """
     everything, wanted = vertex_candidates(heatmap), vertex_candidates(heatmap, score).score
     ranked, best = jax.lax.top_k(wanted, min(first, len(wanted)))
     left = everything.score.at[best].multiply(ranked <= 0)
     rest = evenly_over_directions(everything._replace(score=left))[: count - first]
     chosen = _taken(everything, jnp.concatenate([best, rest]), count)
-    scores = jnp.pad(ranked, (0, count - len(ranked)))
+    scores = jnp.concatenate([ranked, wanted[rest] if rest_scored else jnp.zeros(len(rest))])
+    scores = jnp.pad(scores, (0, count - len(scores)))
     usable = jnp.concatenate([ranked > 0, left[rest] > 0])
     return chosen._replace(score=scores, valid=jnp.pad(usable, (0, count - len(usable))))
 

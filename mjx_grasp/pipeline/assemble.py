@@ -111,6 +111,7 @@ def whole_grasps(
         lesser_cost=80.0 if steered else 35.0,
         at_least=STEERED_AT_LEAST if steered else (),
         easily=1.45 if steered else float("inf"),
+        far_weight=120.0 if steered else 0.0,
         lesser_scores=(0.0,),
         approach=approach,
     )
@@ -208,8 +209,8 @@ def steered_candidates(
 ) -> Candidates:
     """Those a steered grasp chooses among: the anchor's best, with `steered_scores`.
 
-    A quarter are others, of the heatmap itself and with no score at all, for when nothing near the
-    anchor is within reach. Not for use under `jit`: arrays are filled up on the host.
+    A quarter are others, the best of the heatmap itself in all directions, for when nothing near
+    the anchor is within reach. Not for use under `jit`: arrays are filled up on the host.
 
     Args:
         heatmap: Of the object.
@@ -258,7 +259,7 @@ def _steered(
 ) -> Candidates:
     """By an anchor's; of the thin walls the nearest to it."""
     scores = steered_scores(heatmap, score, at_least)
-    straight = first_and_rest(heatmap, scores, count - count // 4, count)
+    straight = first_and_rest(heatmap, scores, count - count // 4, count, rest_scored=True)
     if hanging is None:
         return straight
     surface = vertex_candidates(heatmap, scores)

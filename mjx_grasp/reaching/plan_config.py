@@ -82,6 +82,10 @@ class PlanConfig(Settings):
     """after the first number, and first of all after a try that failed, comes as many again of the
     contacts that ask for no more than so many times the least force of all that can be used, by an
     estimate; by default not [-]"""
+    far_weight: NonNegative = 0.0
+    """where `at_least` so many are looked at: time that it counts as to have the lowest of the
+    scores that can be used instead of the highest, and in between by rank; half as much after each
+    try that failed; by default none [s]"""
     lesser_scores: tuple[NonNegative, ...] = ()
     """where no good posture is found for candidates of the selection's least score: the least
     scores with which they are looked for then, one after the other [-]"""

@@ -97,6 +97,20 @@ class _Try(NamedTuple):
     """the same, than the best of all that can be used"""
 
 
+class _Wish(NamedTuple):
+    """What the scores of candidates ask for where the object lies."""
+
+    near: list[Float[Array, ""]]
+    """for each number of `PlanConfig.at_least` the least score with which so many can be used, or
+    all that have one, where there are fewer"""
+    held: Float[Array, ""]
+    """the same for the first number, of those that hold the object easily"""
+    easy: Bool[Array, " v"]
+    """which these are"""
+    far: Float[Array, " v"]
+    """of all that can be used the share that has a higher score than a candidate [-]"""
+
+
 def _gripping(
     plan: PlanConfig, options: TargetOptions, usable: Bool[Array, " o"], shape: Shape
 ) -> Bool[Array, " o"]:
@@ -160,14 +174,16 @@ class Planner:
         plan, enough = self.config, self.reacher.selection.min_score
         light = np.isfinite(plan.heavier)
         if not (light or plan.at_least or plan.lesser_scores):
-            return self._search(library, candidates, jnp.asarray(False), around, q, key)
+            return self._search(library, candidates, jnp.asarray(False), None, around, q, key)
         # Of the best, and of the last where there is a wish, the light ones come first.
         twice = (True, False) if light else (False,)
         tries = [_Try(enough, only) for only in twice]
         tries += [_Try(least) for least in plan.lesser_scores]
-        begin, easy = jnp.int32(0), candidates.valid
+        begin, easy, far = jnp.int32(0), candidates.valid, None
         if plan.at_least:
-            near, held, easy = self._wish(candidates, around)
+            near, held, easy, share = self._wish(candidates, around)
+            # A grasp that has failed near the wish fails there again more often than farther away.
+            far = plan.far_weight * share * 0.5**failures if plan.far_weight else None
             wider: list[Array | float] = [*near[1:], *plan.lesser_scores]
             tries = [_Try(near[0], only) for only in twice]
             tries += [_Try(held, easy=True)] if np.isfinite(plan.easily) else []
@@ -184,7 +200,7 @@ class Planner:
             counts = candidates.valid & (candidates.score >= least[k]) & (easy | ~only_easy[k])
             score = jnp.where(counts, jnp.maximum(candidates.score, enough), 0.0)
             counted = candidates._replace(score=score)
-            return self._search(library, counted, only_light[k], around, q, key)
+            return self._search(library, counted, only_light[k], far, around, q, key)
 
         def in_vain(tried: tuple[Int[Array, ""], Search]) -> Bool[Array, ""]:
             return (tried[0] < len(tries)) & (tried[1].cost[0] >= plan.lesser_cost)
@@ -200,43 +216,53 @@ class Planner:
         nothing = nothing._replace(cost=jnp.full_like(nothing.cost, jnp.inf))
         return jax.lax.while_loop(in_vain, again, (begin, nothing))[1]
 
-    def _wish(
-        self, candidates: Candidates, around: Surroundings
-    ) -> tuple[list[Float[Array, ""]], Float[Array, ""], Bool[Array, " v"]]:
-        """Least scores with which `at_least` so many candidates can be used where the object lies.
-
-        Or all that have a score, where there are fewer.
-
-        Returns:
-            One for each of these numbers; one for the first, of those that hold the object easily;
-            and which candidates these are.
-        """
+    def _wish(self, candidates: Candidates, around: Surroundings) -> _Wish:
+        """Among which candidates to look where the object lies, and how each compares with them."""
         plan, targets = self.config, self.reacher.selection.targets
         options = target_options(candidates, targets)
         high = admissible(candidates, options, around.p_wo, around.R_wo, targets)
         high &= candidates.valid[options.candidate]
-        holds = held_easily(plan, options, high, around)
+        score = candidates.score
 
-        def scores(counted: Bool[Array, " o"], numbers: tuple[int, ...]) -> list[Float[Array, ""]]:
-            usable = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(counted)
-            ranked = jnp.sort(jnp.where(usable, candidates.score, 0.0))[::-1]
+        def some(counted: Bool[Array, " o"]) -> Bool[Array, " v"]:
+            return jnp.zeros(len(score), bool).at[options.candidate].max(counted)
+
+        def scores(usable: Bool[Array, " v"], numbers: tuple[int, ...]) -> list[Float[Array, ""]]:
+            ranked = jnp.sort(jnp.where(usable, score, 0.0))[::-1]
             last = jnp.maximum(jnp.sum(ranked > 0) - 1, 0)
             enough = self.reacher.selection.min_score
             return [jnp.minimum(enough, ranked[jnp.minimum(n - 1, last)]) for n in numbers]
 
-        easy = jnp.zeros(len(candidates.score), bool).at[options.candidate].max(holds)
-        return scores(high, plan.at_least), scores(holds, plan.at_least[:1])[0], easy
+        usable, easy = some(high), some(held_easily(plan, options, high, around))
+        higher = jnp.searchsorted(jnp.sort(jnp.where(usable, -score, jnp.inf)), -score)
+        return _Wish(
+            near=scores(usable, plan.at_least),
+            held=scores(easy, plan.at_least[:1])[0],
+            easy=easy,
+            far=higher / jnp.maximum(jnp.sum(usable), 1),
+        )
 
     def _search(
         self,
         library: Library,
         candidates: Candidates,
         light: Bool[Array, ""],
+        far: Float[Array, " v"] | None,
         around: Surroundings,
         q: Float[Array, " joints"],
         key: Array,
     ) -> Search:
-        """The same among the candidates of the selection's least score, or the light of them."""
+        """The same among the candidates of the selection's least score, or the light of them.
+
+        Args:
+            library: From :func:`start_library`.
+            candidates: Of the object.
+            light: Whether among those that hold it with little force alone.
+            far: What each of them costs in addition [s].
+            around: Object and obstacles.
+            q: Present configuration, [rad].
+            key: See `search`.
+        """
         plan, body = self.config, self.reacher.body
         ways = _ways(candidates, around, self.reacher.selection)
         goals, allowed = ways.options
@@ -269,6 +295,8 @@ class Planner:
         cost = attempt_costs(body, plan, allowed[option], found, q)
         cost = cost + closing_costs(body, plan, found.q, position, normal, around)
         cost = cost + slip_costs(plan, position, normal, around)
+        if far is not None:
+            cost = cost + far[jnp.asarray(ways.targets.candidate)[option]]
 
         def guide(k: Int[Array, ""]) -> Guide:
             wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)

@@ -15,6 +15,7 @@ from rich.console import Console
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
+from mjx_grasp.handoff.shipped import take_shipped
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
@@ -307,13 +308,15 @@ def _discard_run(folder: Path) -> None:
 def _made_handoffs(
     config: TrainConfig, robot: RobotSpec, folder: Path, console: Console
 ) -> HandoffSet:
-    """The set in the run's folder, made now if it is not there yet."""
-    path = folder / "handoffs.npz"
-    if not path.exists():
+    """The set in the run's folder; if it is not there yet, a copy of the shipped one, or made."""
+    path, wanted = folder / "handoffs.npz", _handoffs_wanted(config, folder)
+    if not path.exists() and take_shipped(wanted):
+        console.print("start states: those that ship with the package, made by the same settings")
+    elif not path.exists():
         from mjx_grasp.handoff.make import make_handoffs
 
         console.print("making handoff states (give --handoffs to use a stored set)")
-        make_handoffs(_handoffs_wanted(config, folder), console)
+        make_handoffs(wanted, console)
     return load_handoffs(path, robot=robot)
 
 

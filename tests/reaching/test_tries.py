@@ -45,18 +45,20 @@ def test_near_an_anchor_on_the_table_those_are_looked_for_that_can_be_used(robot
     usable = np.isin(np.arange(len(known.candidates.score)), options.candidate[high])
     score = np.asarray(known.candidates.score)
     assert not np.any(usable & (score >= STEERED_SCORE))
-    near, held, easy = planner._wish(known.candidates, around)
+    near, held, easy, far = planner._wish(known.candidates, around)
     least, easy = [float(x) for x in near], np.asarray(easy)
     assert len(least) == len(STEERED_AT_LEAST) and least[0] >= least[-1] > 0
     for count, bound in zip(STEERED_AT_LEAST, least, strict=True):
         found = usable & (score >= bound)
         assert min(count, usable[score > 0].sum()) <= found.sum()
         assert (usable & (score > bound)).sum() < count
+    higher = (usable[:, None] & (score[:, None] > score)).sum(axis=0)
+    np.testing.assert_allclose(far, higher / usable.sum(), atol=1e-6)
     # Upright it is held as easily at every height.
     np.testing.assert_allclose(held, least[0], rtol=1e-6)
     assert easy.any() and not np.any(easy & ~usable)
     standing = Surroundings.still(known.shape, p_wo + jnp.array([0.0, 0.0, 0.3]), jnp.eye(3))
-    assert planner._wish(known.candidates, standing)[0][0] == STEERED_SCORE
+    assert planner._wish(known.candidates, standing).near[0] == STEERED_SCORE
 
 
 def test_near_the_end_of_what_lies_those_that_hold_it_easily_are_nearer_to_its_middle(robot):
@@ -64,7 +66,7 @@ def test_near_the_end_of_what_lies_those_that_hold_it_easily_are_nearer_to_its_m
     lying = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     p_wo = jnp.array([0.5, 0.0, float(vertices[:, 0].max())])
     around = Surroundings.still(known.shape, p_wo, lying, known.com, known.weight)
-    near, held, easy = planner._wish(known.candidates, around)
+    near, held, easy, _ = planner._wish(known.candidates, around)
     assert 0 < held < 0.1 * near[0]
     first = np.asarray(known.candidates.score) >= float(near[0])
     along = np.abs(np.asarray(known.candidates.thumb)[:, 2] - float(known.com[2]))
@@ -74,10 +76,11 @@ def test_near_the_end_of_what_lies_those_that_hold_it_easily_are_nearer_to_its_m
 class _Finds(Planner):
     """Finds a posture for every candidate of enough score that its `thumb` says is within reach."""
 
-    def _search(self, library, candidates, light, around, q, key):
+    def _search(self, library, candidates, light, far, around, q, key):
         least = self.reacher.selection.min_score
         possible = (candidates.score >= least) & (candidates.thumb[:, 0] > 0)
         cost = jnp.where(possible, 1.0 + 0.1 * jnp.arange(len(possible)), 1e4)
+        cost = cost if far is None else cost + far
         best = jnp.argsort(cost)[:2]
         return _Found(cost[best], best)
 
@@ -115,7 +118,7 @@ def test_a_poor_posture_for_what_was_asked_gives_way_to_a_better_one_alone(costs
     """Of a candidate with a low score and of one with a high score."""
 
     class Costly(_Finds):
-        def _search(self, library, candidates, light, around, q, key):
+        def _search(self, library, candidates, light, far, around, q, key):
             cost = jnp.where(candidates.score >= 0.5, jnp.array(costs, float), 1e4)
             return _Found(jnp.sort(cost)[:2], jnp.argsort(cost)[:2])
 
@@ -144,7 +147,7 @@ def test_a_wish_is_given_up_step_by_step_and_further_after_each_grasp_that_faile
     class Wishes(_Finds):
         def _wish(self, candidates, around):
             scores = [jnp.float32(0.5), jnp.float32(0.2)]
-            return scores, jnp.float32(0.1), jnp.arange(4) == 2
+            return scores, jnp.float32(0.1), jnp.arange(4) == 2, jnp.zeros(4)
 
     config = PlanConfig(at_least=(1, 2), lesser_scores=(0.0,), heavier=1.25, easily=1.45)
     planner = Wishes(SimpleNamespace(selection=SimpleNamespace(min_score=0.5)), config)
@@ -159,12 +162,30 @@ def test_a_wish_is_given_up_step_by_step_and_further_after_each_grasp_that_faile
 
 
 @pytest.mark.wrong_types
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 0), (1.0, 3)])
+def test_once_a_wish_is_given_up_what_is_nearer_to_it_may_still_cost_more(weight, expected):
+    """Two grasps have failed: all candidates count, and the first one's posture is best."""
+
+    class Wishes(_Finds):
+        def _wish(self, candidates, around):
+            nothing = [jnp.float32(0.5)]
+            return nothing, jnp.float32(0.5), jnp.ones(4, bool), jnp.array([0.75, 0.5, 0.25, 0.0])
+
+    config = PlanConfig(at_least=(1,), lesser_scores=(0.0,), far_weight=weight)
+    planner = Wishes(SimpleNamespace(selection=SimpleNamespace(min_score=0.5)), config)
+    score = jnp.array([0.0, 0.1, 0.3, 0.9])
+    candidates = SimpleNamespace(score=score, valid=jnp.ones(4, bool), thumb=jnp.ones((4, 1)))
+    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+    assert planner.search(0, candidates, None, None, None, 2).plans[0] == expected
+
+
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(("costs", "expected"), [((5, 3), 5), ((20, 3), 3), ((20, 30), 20)])
 def test_contacts_that_ask_for_little_force_are_looked_for_first(costs, expected):
     """What is found among them, and among all."""
 
     class Costly(_Finds):
-        def _search(self, library, candidates, light, around, q, key):
+        def _search(self, library, candidates, light, far, around, q, key):
             cost = jnp.where(light, *jnp.array(costs, float))
             return _Found(cost[None], jnp.zeros(1, int))
 

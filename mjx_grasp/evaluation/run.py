@@ -75,6 +75,8 @@ def evaluate(
             always in the task it was trained in.
     """
     task = policy_task(policy) if policy else model_based(task or TaskConfig(), config)
+    # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
+    task = replace(task, reward=type(task.reward)())
     worlds = min(config.worlds, config.episodes)
     # Trials are drawn below. A task itself uses the robot's errors, and whether objects are turned.
     turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0

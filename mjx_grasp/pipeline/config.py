@@ -38,7 +38,7 @@ class GrasperConfig(Settings):
     back to reaching: the object is elsewhere [m]"""
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
-    retries: WholeNumber = 3
+    retries: WholeNumber = 5
     """times that a grasp which was not reached, found no contact or lost the object is begun again,
     in the latter cases away from its thumb's contact [-]"""
     avoided: NonNegative = 0.020
@@ -54,7 +54,7 @@ class GrasperConfig(Settings):
     across_walls: NonNegative = 1.4
     """times the force by the known weight with which a thin wall is gripped at least once the lift
     is due, whatever a policy says: with less the object turns before it is felt [-]"""
-    timeout_s: PositiveOrNever = 20.0
+    timeout_s: PositiveOrNever = 30.0
     """from the start to the end of the lift [s]"""
     servo: ServoConfig = ServoConfig()
     """of the joints"""

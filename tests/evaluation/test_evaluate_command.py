@@ -161,7 +161,10 @@ def test_the_shipped_policy_is_evaluated_and_named():
 
 
 def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(monkeypatch):
-    """Another budget, friction, place or policy is the same task and function; turning is not."""
+    """Another budget, friction, place or policy is the same task and function; turning is not.
+
+    Nor is it another task where a policy was only paid otherwise in its training.
+    """
     own = module._loaded(EvaluateConfig(Path("x.json"), "policy", objects=("foam_brick",)))
     tasks, acts = [], []
 
@@ -185,6 +188,13 @@ def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(mon
     budgets, turned = {"force_budget": 8.0}, ({"angle_deg": 3.0}, {"angle_deg": 6.0})
     assert evaluated(*draws, budgets, config=own.config, policy=own.policy) == (1, 1)
     assert evaluated({}, *turned, config=own.config, policy=own.policy) == (2, 1)
+    task = own.policy.meta["task"]
+    paid = task | {"reward": task["reward"] | {"hard": task["reward"]["hard"] - 1.0}}
+    other = replace(own.policy, meta=own.policy.meta | {"task": paid})
+    assert evaluated({}, config=own.config, policy=own.policy) == (1, 1)
+    first = tasks[0]
+    assert evaluated({}, config=own.config, policy=other) == (1, 1)
+    assert tasks[0] is first
     squeeze = replace(own.config, controller="squeeze")
     assert evaluated(*draws, *turned[:1], config=squeeze, policy=None) == (2, 1)
     assert evaluated({}, {"squeeze_force": 1.0}, config=squeeze, policy=None)[0] == 2

@@ -117,9 +117,11 @@ def first_and_rest(
     rest = evenly_over_directions(everything._replace(score=left))[: count - first]
     chosen = _taken(everything, jnp.concatenate([best, rest]), count)
     scores = jnp.concatenate([ranked, wanted[rest] if rest_scored else jnp.zeros(len(rest))])
-    scores = jnp.pad(scores, (0, count - len(scores)))
     usable = jnp.concatenate([ranked > 0, left[rest] > 0])
-    return chosen._replace(score=scores, valid=jnp.pad(usable, (0, count - len(usable))))
+    scores, usable = (
+        jnp.pad(x, (0, count - len(x))) for x in (jnp.where(usable, scores, 0.0), usable)
+    )
+    return chosen._replace(score=scores, valid=usable)
 
 
 def evenly_over_directions(candidates: Candidates) -> Int[Array, " c"]:

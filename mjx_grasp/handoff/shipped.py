@@ -1,4 +1,4 @@
-"""The start states that ship with the package, for trainings that would make the very same ones."""
+"""The start states that ship with the package, for trainings that would make such ones."""
 
 from __future__ import annotations
 
@@ -16,25 +16,36 @@ SHIPPED = "handoffs_cube.npz"
 """Reached states of the stand-in that the preset `cpu` trains on; its report is beside it."""
 
 
-def take_shipped(wanted: HandoffConfig) -> bool:
-    """Copies the shipped set to where a set is wanted, if its settings are those that it came from.
+def shipped_for(wanted: HandoffConfig) -> Path | None:
+    """The shipped set, if its settings are those of a set that is wanted; its report tells.
+
+    Settings alone are compared: it may be of an earlier revision of the code.
 
     Args:
-        wanted: The set; its report goes beside it, as if it had been made.
+        wanted: What would be made.
 
-    Returns:
-        Whether it is; otherwise nothing is written.
+    Raises:
+        FileError: The set or its report cannot be read.
     """
     states = asset_path(SHIPPED)
-    report = states.with_suffix(".json")
-    made_of = read_json(report, "the report of the shipped start states")["config"]
-    if _but_for_the_file(made_of) != _but_for_the_file(to_record(unspread(wanted))):
-        return False
-    out = Path(wanted.out)
-    for source, path in ((report, out.with_suffix(".json")), (states, out)):
+    report = read_json(states.with_suffix(".json"), "the report of the shipped start states")
+    made_of = _but_for_the_file(report.get("config", {}))
+    return states if made_of == _but_for_the_file(to_record(unspread(wanted))) else None
+
+
+def take_shipped(shipped: Path, out: Path) -> None:
+    """Copies a set, and its report beside it.
+
+    Args:
+        shipped: The set.
+        out: Where it is wanted.
+    """
+    for source, path in (
+        (shipped.with_suffix(".json"), out.with_suffix(".json")),
+        (shipped, out),
+    ):
         with replacing(path) as temporary:
             shutil.copyfile(source, temporary)
-    return True
 
 
 def _but_for_the_file(settings: dict[str, Any]) -> dict[str, Any]:

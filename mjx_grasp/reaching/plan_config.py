@@ -85,13 +85,13 @@ class PlanConfig(Settings):
     far_weight: NonNegative = 0.0
     """where `at_least` so many are looked at: time that it counts as to have the lowest of the
     scores that can be used instead of the highest, and in between by rank; half as much after each
-    try that failed; by default none [s]"""
+    failure, see `Planner.search`; by default none [s]"""
     lesser_scores: tuple[NonNegative, ...] = ()
     """where no good posture is found for candidates of the selection's least score: the least
     scores with which they are looked for then, one after the other [-]"""
     lesser_cost: Positive = 15.0
     """cost from which a posture is not good enough to stop looking; a millimetre of tip error or of
-    missing clearance costs one [s]"""
+    missing clearance costs one, and `far_weight` counts too [s]"""
     approach: Approach = "any"
     """where the palm is to come from: straight from above or level, give or take the angle below"""
     approach_angle: Positive = 0.8

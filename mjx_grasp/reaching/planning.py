@@ -49,7 +49,7 @@ class Search(NamedTuple):
     plans: Plans
     """the best first; of those that are not ``guide.known`` no attempt succeeded"""
     cost: Float[Array, " p"]
-    """time to get there and what is lacking; the less the better [s]"""
+    """time to get there, what is lacking and how far it is from a wish; the less the better [s]"""
     least_error: Float[Array, ""]
     """of all clear solutions, the least of their largest tip errors; +inf if all penetrate
     something [m]"""

@@ -51,7 +51,8 @@ class TrainConfig(ObjectsConfig):
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     handoffs: Path | None = None
-    """handoff set; made for the objects first if none is given"""
+    """handoff set; if none is given, one that ships with the package where its settings are these,
+    as they are in the preset cpu, else it is made first"""
     handoffs_per_object: Count = 64
     """states per object when they are made first [-]"""
     handoffs_kind: HandoffKind = "ik"

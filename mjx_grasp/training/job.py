@@ -15,7 +15,7 @@ from rich.console import Console
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
-from mjx_grasp.handoff.shipped import take_shipped
+from mjx_grasp.handoff.shipped import shipped_for, take_shipped
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
@@ -272,7 +272,9 @@ def _open_run(
     extra_terms: Sequence[RewardTerm],
 ) -> None:
     """Writes the configuration and the provenance of a new run to its folder."""
-    digests = file_digests(handoffs=config.handoffs, start_from=start_file(config))
+    shipped = shipped_for(_handoffs_wanted(config, folder)) if stored is None else None
+    files = {"handoffs": config.handoffs, "shipped_handoffs": shipped}
+    digests = file_digests(**files, start_from=start_file(config))
     made_of: dict[str, Any] = {"sha256": digests}
     made_of["extra_terms"] = [term.name for term in extra_terms]
     kind: str
@@ -310,8 +312,10 @@ def _made_handoffs(
 ) -> HandoffSet:
     """The set in the run's folder; if it is not there yet, a copy of the shipped one, or made."""
     path, wanted = folder / "handoffs.npz", _handoffs_wanted(config, folder)
-    if not path.exists() and take_shipped(wanted):
-        console.print("start states: those that ship with the package, made by the same settings")
+    shipped = shipped_for(wanted)
+    if not path.exists() and shipped is not None:
+        console.print(f"start states: {shipped.name}, which ships with the package")
+        take_shipped(shipped, path)
     elif not path.exists():
         from mjx_grasp.handoff.make import make_handoffs
 

@@ -304,9 +304,10 @@ def test_of_a_small_mesh_there_are_as_many_as_there_are(flat_heatmap):
     """None twice, none of those that the score says nothing of before the others, the rest void."""
     scored = np.asarray(flat_heatmap.valid & (flat_heatmap.score > 0))
     near = scored & (np.arange(len(scored)) % 3 == 0)
-    found = first_and_rest(
-        flat_heatmap, jnp.asarray(near, jnp.float32), len(scored), 2 * len(scored)
-    )
+    score, sizes = jnp.asarray(near, jnp.float32), (len(scored), 2 * len(scored))
+    found = first_and_rest(flat_heatmap, score, *sizes)
+    again = first_and_rest(flat_heatmap, score, *sizes, rest_scored=True)
+    jax.tree.map(np.testing.assert_array_equal, again, found)
     assert int(found.valid.sum()) == scored.sum()
     np.testing.assert_array_equal(found.score[: near.sum()], 1.0)
     np.testing.assert_array_equal(found.score[near.sum() :], 0.0)

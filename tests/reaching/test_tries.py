@@ -162,9 +162,12 @@ def test_a_wish_is_given_up_step_by_step_and_further_after_each_grasp_that_faile
 
 
 @pytest.mark.wrong_types
-@pytest.mark.parametrize(("weight", "expected"), [(0.0, 0), (1.0, 3)])
-def test_once_a_wish_is_given_up_what_is_nearer_to_it_may_still_cost_more(weight, expected):
-    """Two grasps have failed: all candidates count, and the first one's posture is best."""
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 0), (1.0, 0), (2.0, 3)])
+def test_once_a_wish_is_given_up_what_is_nearer_to_it_may_still_be_preferred(weight, expected):
+    """Two grasps have failed, so that a quarter of the weight is left.
+
+    All candidates count, the first one's posture is best and the last one is nearest.
+    """
 
     class Wishes(_Finds):
         def _wish(self, candidates, around):

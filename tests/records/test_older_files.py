@@ -14,6 +14,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.trajectory import load_trajectory, save_trajectory
 from mjx_grasp.handoff.dataset import UNKNOWN_M, load_handoffs
+from mjx_grasp.handoff.shipped import SHIPPED
 from mjx_grasp.heatmap.files import HeatmapInfo, load_heatmap, save_heatmap
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.robot.identity import FIRST_ROBOT
@@ -151,4 +152,5 @@ def test_what_is_read_can_be_written_anew(tmp_path):
 def test_the_shipped_files_are_read(robot):
     for name in ("handoffs_standins", "handoffs_reached"):
         assert len(load_handoffs(asset_path(f"{name}.npz"), robot=robot)) > 500
+    assert len(load_handoffs(asset_path(SHIPPED), robot=robot)) > 200
     assert load_policy(asset_path("policy.npz")).robot.agrees(robot.identity)

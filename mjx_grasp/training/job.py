@@ -312,11 +312,13 @@ def _made_handoffs(
 ) -> HandoffSet:
     """The set in the run's folder; if it is not there yet, a copy of the shipped one, or made."""
     path, wanted = folder / "handoffs.npz", _handoffs_wanted(config, folder)
+    if path.exists():
+        return load_handoffs(path, robot=robot)
     shipped = shipped_for(wanted)
-    if not path.exists() and shipped is not None:
+    if shipped is not None:
         console.print(f"start states: {shipped.name}, which ships with the package")
         take_shipped(shipped, path)
-    elif not path.exists():
+    else:
         from mjx_grasp.handoff.make import make_handoffs
 
         console.print("making handoff states (give --handoffs to use a stored set)")

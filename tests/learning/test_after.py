@@ -18,7 +18,7 @@ from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
-from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
+from mjx_grasp.tasks.config import ClosingTaskConfig, RewardConfig, StartNoise
 from mjx_grasp.training import after
 from mjx_grasp.training.after import baselines, condition
 from mjx_grasp.training.config import preset_config
@@ -112,12 +112,14 @@ def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
 
 
 def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
+    """But for the rewards, which no evaluation reads: tasks that pay otherwise share a program."""
     task = preset_config("paper").task
     assert task.lift.delay_s == 0.0 and not task.grip.together
     config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
     with pytest.raises(Asked) as asked:
         evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
-    assert asked.value.args == (replace(task, grip=replace(task.grip, force=4.0)), config.noise)
+    own = replace(task, grip=replace(task.grip, force=4.0), reward=RewardConfig())
+    assert asked.value.args == (own, config.noise)
 
 
 def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
@@ -131,7 +133,8 @@ def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
     for config, expected in ((squeeze, plain), (grip, grip.grip)):
         with pytest.raises(Asked) as asked:
             evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
-        assert asked.value.args == (replace(task, grip=expected), config.noise)
+        own = replace(task, grip=expected, reward=RewardConfig())
+        assert asked.value.args == (own, config.noise)
 
 
 def test_a_policy_on_an_answering_grip_is_compared_with_that_grip():

@@ -2,19 +2,20 @@
 
 The engine keeps no state of its own between calls: state goes in and comes out as arrays, through
 `jax.pure_callback`, so that the same environment and the same training loop run on it as on MJX.
+The worlds of an object are a `mujoco.batch.Batch`, whose threads do not wait for Python.
 """
 
 from __future__ import annotations
 
 import copy
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
+from mujoco.batch import Batch
 
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.robot.interface import Measured
@@ -32,7 +33,7 @@ _FRAMES = ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_an
 
 
 class NativePhysics(Physics):
-    """Native MuJoCo, one model per object and thread.
+    """Native MuJoCo, one model per object.
 
     Args:
         scene: The scene whose objects the worlds hold.
@@ -43,17 +44,12 @@ class NativePhysics(Physics):
     def __init__(self, scene: Scene, control_dt: float = 0.01, threads: int | None = None):
         super().__init__(scene, control_dt)
         self._threads = threads or usable_cores()
-        self._pool = ThreadPoolExecutor(self._threads)
         self._alone = threading.Lock()
-        singles = (
-            [scene]
-            if len(scene.objects) == 1
-            else [build_scene([o], scene.robot, scene.config) for o in scene.objects]
+        one = len(scene.objects) == 1
+        self._singles = (
+            [scene] if one else [build_scene([o], scene.robot, scene.config) for o in scene.objects]
         )
-        self._workers = [
-            [_World(copy.copy(s.model), s, self.substeps) for s in singles]
-            for _ in range(self._threads)
-        ]
+        self._worlds_of: dict[int, _Worlds] = {}
         self._rows = finger_rows(scene)
         self._readings = _reading_shapes(scene, self.substeps)
 
@@ -116,20 +112,23 @@ class NativePhysics(Physics):
         wrench: Float[Array, "w 6"],
         awake: Bool[Array, " w"],
     ) -> dict[str, np.ndarray]:
-        state, params = jax.tree.map(np.asarray, (state, params))
-        wrenches, going = np.asarray(wrench), np.flatnonzero(awake).tolist()
+        state, params, wrench, awake = jax.tree.map(np.asarray, (state, params, wrench, awake))
         out = {n: np.zeros((len(awake), *s), d) for n, (s, d) in self._readings.items()}
-
-        def run(thread: int) -> None:
-            mine = self._workers[thread]
-            for w in going[thread :: self._threads]:
-                friction, mass_scale = float(params.friction[w]), float(params.mass_scale[w])
-                world = mine[int(params.object_index[w])]
-                world.step(w, state, friction, mass_scale, wrenches[w], out)
-
-        with self._alone:  # several devices of JAX may call at once, and share the models
-            list(self._pool.map(run, range(self._threads)))
+        with self._alone:  # several devices of JAX may call at once, and share the simulations
+            for index in np.unique(params.object_index[awake]).tolist():
+                rows = np.flatnonzero(awake & (params.object_index == index))
+                own = jax.tree.map(lambda x, rows=rows: x[rows], (state, params, wrench))
+                for name, x in self._of(index, len(rows)).step(*own).items():
+                    out[name][rows] = x
         return out
+
+    def _of(self, index: int, count: int) -> _Worlds:
+        """Room for at least so many worlds of an object."""
+        found = self._worlds_of.get(index)
+        if found is None or found.most < count:
+            found = _Worlds(self._singles[index], self.substeps, count, self._threads)
+            self._worlds_of[index] = found
+        return found
 
 
 def at_rest(scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int) -> tuple[Measured, Truth]:
@@ -175,77 +174,100 @@ def at_rest(scene: Scene, qpos: Float[np.ndarray, "n nq"], substeps: int) -> tup
     return measured, truth
 
 
-class _World:
-    """One model and its data, which take the place of one world after the other."""
+class _Worlds:
+    """Simulations of one object.
 
-    def __init__(self, model: mujoco.MjModel, scene: Scene, substeps: int):
+    Args:
+        scene: The scene of this object alone.
+        substeps: Physics steps per control tick.
+        most: How many there are.
+        threads: How many threads step them.
+    """
+
+    def __init__(self, scene: Scene, substeps: int, most: int, threads: int):
+        self._model = model = copy.copy(scene.model)
         # A state that is not finite has to be seen, not silently put back to the default pose.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._model, self._data = model, mujoco.MjData(model)
-        self._at, self._substeps = scene.addresses, substeps
+        self.most, self._at, self._substeps = most, scene.addresses, substeps
         # A body whose inertia is diagonal has a shorter M, so addresses differ between objects.
         self._mass_address = finger_rows(scene).address
-        self._pristine = copy.copy(model)
-        self._settings = (float(model.geom_friction[self._at.object_geoms[0], 0]), 1.0)
+        self._batch = batch = Batch(model, most, threads)
+        self._own = {name: batch.expand(name) for name in _VARIED}
+        self._data = {name: batch.bind(name) for name in (*_GIVEN, *_READ)}
 
     def step(
-        self,
-        w: int,
-        state: PhysicsState,
-        friction: float,
-        mass_scale: float,
-        wrench: Float[np.ndarray, " 6"],
-        out: dict[str, np.ndarray],
-    ) -> None:
-        self._apply(friction, mass_scale)
-        m, d, at = self._model, self._data, self._at
-        d.qpos[:] = state.qpos[w]
-        d.qvel[:] = state.qvel[w]
-        d.qacc_warmstart[:] = state.warmstart[w]
-        d.ctrl[:] = state.ctrl[w]
-        d.xfrc_applied[at.object_body] = wrench
-        full = _times_full(d)
-        for s in range(self._substeps):
-            before = d.qvel.copy()
-            mujoco.mj_step(m, d)
-            out["delta_v"][w, s] = d.qvel - before
-            out["mass"][w, s] = d.M[self._mass_address]
-            out["bias"][w, s] = d.qfrc_bias
-            out["applied"][w, s] = d.qfrc_actuator + d.qfrc_passive
-        out["qpos"][w] = d.qpos
-        out["qvel"][w] = d.qvel
-        out["warmstart"][w] = d.qacc_warmstart
-        out["palm_pos"][w] = d.site_xpos[at.palm_site]
-        out["palm_mat"][w] = d.site_xmat[at.palm_site].reshape(3, 3)
-        out["pad_pos"][w] = d.site_xpos[at.pad_sites]
-        out["pad_mat"][w] = d.site_xmat[at.pad_sites].reshape(-1, 3, 3)
-        joints = m.dof_jntid[at.robot_dof]
-        out["joint_axis"][w] = d.xaxis[joints]
-        out["joint_anchor"][w] = d.xanchor[joints]
-        out["tip_found"][w] = d.sensordata[at.tip_force[:, 0]] > 0
-        out["tip_force"][w] = d.sensordata[at.tip_force[:, 1:]]
-        out["finger_force"][w] = d.sensordata[at.finger_force[:, 1:]]
-        out["constraints"][w] = d.nefc
-        out["overflow"][w] = _times_full(d) > full
+        self, state: PhysicsState, params: WorldParams, wrench: Float[np.ndarray, "n 6"]
+    ) -> dict[str, Shaped[np.ndarray, "n ..."]]:
+        """One control tick of as many worlds as are given."""
+        n, at = len(wrench), self._at
+        self._vary(params)
+        d = {name: x[:n] for name, x in self._data.items()}
+        given = state.qpos, state.qvel, state.warmstart, state.ctrl
+        for name, x in zip(_GIVEN, given, strict=False):
+            d[name][:] = x
+        d["xfrc_applied"][:, at.object_body] = wrench
+        full = self._times_full(n)
+        ids = None if n == self.most else np.arange(n)
+        each: dict[str, list[np.ndarray]] = {n: [] for n in ("delta_v", "mass", "bias", "applied")}
+        for _ in range(self._substeps):
+            before = d["qvel"].copy()
+            self._batch.step(ids)
+            each["delta_v"].append(d["qvel"] - before)
+            each["mass"].append(d["M"][:, self._mass_address])
+            each["bias"].append(d["qfrc_bias"].copy())
+            each["applied"].append(d["qfrc_actuator"] + d["qfrc_passive"])
+        joints = self._model.dof_jntid[at.robot_dof]
+        site_mat, sensed = d["site_xmat"].reshape(n, -1, 3, 3), d["sensordata"]
+        return {
+            "qpos": d["qpos"],
+            "qvel": d["qvel"],
+            "warmstart": d["qacc_warmstart"],
+            "palm_pos": d["site_xpos"][:, at.palm_site],
+            "palm_mat": site_mat[:, at.palm_site],
+            "pad_pos": d["site_xpos"][:, at.pad_sites],
+            "pad_mat": site_mat[:, at.pad_sites],
+            "joint_axis": d["xaxis"][:, joints],
+            "joint_anchor": d["xanchor"][:, joints],
+            "tip_found": sensed[:, at.tip_force[:, 0]] > 0,
+            "tip_force": sensed[:, at.tip_force[:, 1:]],
+            "finger_force": sensed[:, at.finger_force[:, 1:]],
+            "constraints": d["nefc"],
+            "overflow": self._times_full(n) > full,
+        } | {name: np.stack(steps, axis=1) for name, steps in each.items()}
 
-    def _apply(self, friction: float, mass_scale: float) -> None:
-        if (friction, mass_scale) == self._settings:
-            return
-        m, pristine, body = self._model, self._pristine, self._at.object_body
-        m.geom_friction[self._at.object_geoms, 0] = friction
-        m.body_mass[body] = pristine.body_mass[body] * mass_scale
-        m.body_inertia[body] = pristine.body_inertia[body] * mass_scale
-        m.body_invweight0[body] = pristine.body_invweight0[body] / mass_scale
-        added = pristine.body_mass[body] * (mass_scale - 1.0)
-        for b in (0, body):
-            m.body_subtreemass[b] = pristine.body_subtreemass[b] + added
-        self._settings = (friction, mass_scale)
+    def _vary(self, params: WorldParams) -> None:
+        """Gives the worlds their friction and mass."""
+        n, m, own = len(params.friction), self._model, self._own
+        friction, scale = (x.astype(float)[:, None] for x in params[1:])
+        geoms, body = self._at.object_geoms, self._at.object_body
+        own["geom_friction"][:n, geoms, 0] = friction
+        own["body_mass"][:n, [body]] = m.body_mass[body] * scale
+        own["body_inertia"][:n, body] = m.body_inertia[body] * scale
+        own["body_invweight0"][:n, body] = m.body_invweight0[body] / scale
+        above = [0, body]
+        added = m.body_mass[body] * (scale - 1.0)
+        own["body_subtreemass"][:n, above] = m.body_subtreemass[above] + added
+
+    def _times_full(self, n: int) -> np.ndarray:
+        """How often contacts or constraints of the first worlds have not found room so far."""
+        return self._batch.warning[:n, _FULL, 1].sum(axis=1)
 
 
-def _times_full(data: mujoco.MjData) -> int:
-    """How often contacts or constraints have not found room in the data so far."""
-    warnings = mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL
-    return sum(int(data.warning[w].number) for w in warnings)
+_GIVEN = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied")
+_READ = (
+    "M",
+    "qfrc_bias",
+    "qfrc_actuator",
+    "qfrc_passive",
+    "site_xpos",
+    "site_xmat",
+    "xaxis",
+    "xanchor",
+    "sensordata",
+    "nefc",
+)
+_VARIED = ("geom_friction", "body_mass", "body_inertia", "body_invweight0", "body_subtreemass")
+_FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
 def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:

@@ -11,7 +11,7 @@ import pytest
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.model import Piece
 from mjx_grasp.sim import scene as scene_module
-from mjx_grasp.sim.native import NativePhysics, _World
+from mjx_grasp.sim.native import NativePhysics, _Worlds
 from mjx_grasp.sim.physics import (
     check_control_rate,
     finger_dofs,
@@ -124,24 +124,37 @@ def test_worlds_that_rest_are_not_stepped_and_change_nothing(scene, starts, nati
         make_params(starts.object_index[ROWS], 0.8),
         native.init(starts.qpos[ROWS], starts.ctrl[ROWS]),
     )
-    stepped, step = [], _World.step
+    stepped, step = [], _Worlds.step
 
-    def noted(world, w, *given):
-        stepped.append(int(w))
-        step(world, w, *given)
+    def noted(worlds, state, *given):
+        stepped.append(len(state.qpos))
+        return step(worlds, state, *given)
 
-    monkeypatch.setattr(_World, "step", noted)
+    monkeypatch.setattr(_Worlds, "step", noted)
     every = native.step(state, params, ctrl)
-    assert sorted(stepped) == [0, 1, 2]
+    assert stepped == [1, 1, 1]  # one of each object
     stepped.clear()
     some = jax.jit(native.step)(state, params, ctrl, None, jnp.array([True, False, True]))
-    assert sorted(stepped) == [0, 2]
+    assert stepped == [1, 1]
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[::2], b[::2]), every, some)
+
+
+def test_more_worlds_or_fewer_than_before_are_as_from_the_start(scene, starts):
+    used = NativePhysics(scene, threads=2)
+    for rows in ([0], [0, 1, 2], [2, 1], [0, 8]):
+        rows = jnp.array(rows)
+        ctrl = closing_ctrl(scene, starts, rows)
+        params = make_params(starts.object_index[rows], 0.1 * (1 + rows), 1.0 + rows)
+        found, expected = (
+            advance(physics, starts, rows, ctrl, 3, params)
+            for physics in (used, NativePhysics(scene, threads=2))
+        )
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
 def test_it_takes_the_cores_that_it_may_use_and_no_others(scene, monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 2, 5}, raising=False)
-    assert NativePhysics(scene)._pool._max_workers == 3
+    assert NativePhysics(scene)._of(0, 5)._batch.nthread == 3
 
 
 def test_worlds_leave_no_trace_in_the_next_ones(starts, native, scene):

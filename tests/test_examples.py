@@ -31,6 +31,7 @@ def test_a_mesh_of_ones_own_gets_points_low_and_high(capsys):
     assert 0 < low < 90 < high < 200, said  # mm above the bottle's foot
 
 
+@pytest.mark.long
 def test_a_reward_of_ones_own_is_logged_by_its_name(tmp_path):
     example("own_reward").main(tmp_path / "run", iterations=1, worlds=8)
     with (tmp_path / "run" / "metrics.csv").open() as stream:

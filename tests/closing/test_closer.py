@@ -121,6 +121,7 @@ def test_a_batch_is_the_map_over_its_robots(closer, walk, ran):
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
+@pytest.mark.long
 def test_batches_have_any_shape(closer, walk, ran, shape):
     """Also of a state alone: its arrays have the batch in front and nothing else changes."""
 
@@ -140,6 +141,7 @@ def test_batches_have_any_shape(closer, walk, ran, shape):
     close(found, jax.tree.map(lambda x: shaped(x, 1), ran))
 
 
+@pytest.mark.long
 def test_compiled_is_as_written(closer, walk, ran):
     first, targets, sequence = walk
     state = closer.start(first, targets)

@@ -240,6 +240,7 @@ def test_overlapping_parts_are_their_union():
     np.testing.assert_allclose(found[outside], both.min(axis=0)[outside], atol=1e-3)
 
 
+@pytest.mark.long
 def test_a_gap_leaves_the_inside_inside():
     """A ball whose top is missing: inside is what the rest winds around by more than half."""
     ball = trimesh.creation.icosphere(4, 0.03)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typed import refusal
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Sphere
@@ -263,12 +264,12 @@ def test_a_set_is_added_to(written, tmp_path):
     assert report["earlier"] == [first["provenance"]]
 
 
-def test_a_set_without_its_report_is_not_added_to(written, tmp_path, monkeypatch, capsys):
-    alone = tmp_path / "brick.npz"
-    alone.write_bytes(written[0].read_bytes())
+def test_a_set_without_its_report_is_not_added_to(tmp_path, monkeypatch, capsys):
+    alone = tmp_path / "alone.npz"
+    alone.write_bytes(asset_path("handoffs_cube.npz").read_bytes())
     update = ("--update", alone, "--out", alone)
     status, error = refusal(monkeypatch, capsys, "handoffs", *MORE, *update)
-    assert status == 2 and "brick.json" in error
+    assert status == 2 and "alone.json" in error
 
 
 def test_the_command_refuses_what_it_does_not_know(tmp_path):

@@ -45,6 +45,7 @@ def test_backends_agree_on_stand_ins(name):
     assert scores >= 0.999 and contacts >= 0.995
 
 
+@pytest.mark.long
 def test_backends_agree_where_few_faces_are_near():
     # Sparse faces: the neighbourhood has to be widened, and on the box to as many as there are.
     lump = trimesh.creation.icosphere(subdivisions=1, radius=0.03)
@@ -105,6 +106,7 @@ def test_no_meshes_give_no_heatmaps():
     assert compute_heatmaps([], None, *HAND) == []
 
 
+@pytest.mark.long
 def test_the_tile_changes_nothing():
     # Without symmetries: where two contacts are equally good, rounding decides between them.
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.03)

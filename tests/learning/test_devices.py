@@ -45,12 +45,14 @@ def found(tmp_path_factory):
         return dict(stored)
 
 
+@pytest.mark.long
 def test_devices_that_see_the_same_learn_what_one_learns(found):
     """The mean of equal gradients is the gradient; observations count once for each device."""
     np.testing.assert_allclose(found["twins"], found["lone"], rtol=1e-4, atol=1e-6)
     assert list(found["counts"]) == [2 * 24 * 8, 24 * 8]
 
 
+@pytest.mark.long
 def test_every_device_has_the_same_weights_and_rate_and_worlds_of_its_own(found):
     assert np.ptp(found["copies"], axis=0).max() == 0.0
     assert len(found["rates"]) == 4 and np.ptp(found["rates"]) == 0.0
@@ -58,12 +60,14 @@ def test_every_device_has_the_same_weights_and_rate_and_worlds_of_its_own(found)
     assert found["places"].shape == (4, 16) and len(np.unique(places)) == 64
 
 
+@pytest.mark.long
 def test_metrics_are_those_of_all_devices(found):
     np.testing.assert_allclose(found["reward"], found["terms"], rtol=1e-4)
     assert found["reward"][-1] > found["reward"][0]
     assert 0 < found["episodes"] <= 64
 
 
+@pytest.mark.long
 def test_tasks_are_told_on_every_device_of_the_episodes_of_all(found):
     """And of them alike: what a curriculum makes of it is the same everywhere."""
     assert found["told"].shape == (4, 4, 3)
@@ -80,12 +84,14 @@ def kept(request, tmp_path_factory):
         return dict(stored)
 
 
+@pytest.mark.long
 def test_a_checkpoint_goes_on_as_if_nothing_had_been(kept):
     np.testing.assert_array_equal(kept["resumed"], kept["unbroken"])
     assert np.abs(kept["unbroken"] - kept["kept"]).max() > 0
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.long
 def test_a_checkpoint_of_two_devices_is_read_on_any_number(kept, count):
     """The same weights, and every world where it stood."""
     assert kept[f"goes_on_{count}"]

@@ -68,6 +68,7 @@ def rows(folder):
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.long
 def test_the_level_rises_with_the_iterations_and_is_logged(run):
     folder, last, kept = run
     levels = [float(row["reach_level"]) for row in rows(folder)]

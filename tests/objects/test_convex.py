@@ -180,6 +180,7 @@ def test_shares_of_concave_components_keep_the_limit():
     assert sum(piece.pos[0] < 0.15 for piece in pieces) == 2
 
 
+@pytest.mark.long
 def test_what_stands_out_too_far_is_divided_more_finely():
     ring = trimesh.creation.annulus(0.05, 0.053, 0.02, sections=48)
     few, many = Division(max_pieces=6), Division(max_pieces=12, threshold=0.05)

@@ -332,6 +332,7 @@ def backend(request, monkeypatch):
         monkeypatch.setattr(admm, "in_one_kernel", kernel)
 
 
+@pytest.mark.long
 def test_many_worlds_are_the_map_over_them(backend, grasper, known, everywhere, alone):
     """However many of sixteen reach: none, those of a part or more, or nearly all."""
     together = jax.jit(grasper.ticks)
@@ -366,6 +367,7 @@ def test_many_worlds_begin_to_reach_again_as_one_does(grasper, tick, home, known
 
 
 @pytest.mark.parametrize("phase", list(Phase)[1:], ids=lambda phase: phase.name.lower())
+@pytest.mark.long
 def test_compiled_is_as_written(grasper, tick, known, everywhere, phase):
     state, measured, what = everywhere[phase]
     with jax.disable_jit():

@@ -42,6 +42,7 @@ def test_a_flat_can_on_its_face_has_contacts_at_its_side_that_the_hand_can_use(r
     assert len(np.unique(usable[around])) > 10
 
 
+@pytest.mark.long
 def test_objects_are_known_together_as_one_by_one_and_of_the_best_candidates(robot):
     objects = load_objects(["rubiks_cube", "tuna_fish_can"])
     for obj, found in zip(objects, known_objects(objects, robot), strict=True):

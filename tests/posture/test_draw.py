@@ -39,6 +39,7 @@ def test_the_hand_is_over_the_object_area_and_about_to_grasp(body, postures):
     assert np.all(postures >= body.lower - 1e-6) and np.all(postures <= body.upper + 1e-6)
 
 
+@pytest.mark.long
 def test_they_depend_on_the_seed_alone(body, postures):
     assert np.array_equal(draw_postures(body, COUNT, AREA, seed=1), postures)
     assert not np.array_equal(draw_postures(body, COUNT, AREA, seed=2), postures)

@@ -144,6 +144,7 @@ def test_clearances_move_the_hand_out_of_an_object(body, solve, reachable):
     assert np.all(found.missing >= found.penetration)
 
 
+@pytest.mark.long
 def test_batched_is_looped_and_jit_is_eager(body, reachable, starts):
     tips, pads, _ = reachable
     arguments = tips[:3], pads[:3], jnp.asarray(starts[:3, 0]), np.tile(NOWHERE, (3, 1))

@@ -189,6 +189,7 @@ def test_rows_ask_for_what_is_missing(body):
     assert slope.shape == (len(bound), len(body.lower))
 
 
+@pytest.mark.long
 def test_moving_obstacles_and_objects_drift(body):
     around = _around(obstacles=[(0.45, 0.2, 0.2, 0.03)])
     moving = around._replace(

@@ -44,6 +44,7 @@ def test_contacts_oppose_up_to_the_angle_of_friction(side, friction):
             assert bool(opposing(friction, CONTACTS @ R.T + p, normals @ R.T)) == expected
 
 
+@pytest.mark.long
 def test_contacts_that_oppose_are_held_whichever_way_they_are_pulled():
     """Random normals about the line; against the friction-cone programme, from six sides.
 
@@ -140,6 +141,7 @@ def test_a_hand_holds_what_its_thumb_can_press_for(body):
     assert not can_hold(body, friction, q, CONTACTS, OUT, beside)
 
 
+@pytest.mark.long
 def test_attempts_that_cannot_hold_have_failed(body):
     q, contacts = jnp.asarray(body.home)[None], CONTACTS[None]
 

@@ -113,6 +113,7 @@ def _handed_off(reacher, near, drift=0.0):
     return run, int(np.argmax(run["outcome"] == ReachOutcome.HANDOFF)), gate
 
 
+@pytest.mark.long
 def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
     run, at, gate = _handed_off(reacher, 0.3)
     first = at - int(np.argmax(run["error"].max(axis=1)[at::-1] > gate.near_tips)) + 1
@@ -123,12 +124,14 @@ def test_a_hand_that_stays_fairly_near_is_near_enough_after_a_while(reacher):
 @pytest.mark.parametrize(
     ("near", "drift"), [pytest.param(np.inf, 0.0, marks=pytest.mark.long), (0.3, 0.02)]
 )
+@pytest.mark.long
 def test_without_that_rule_or_with_a_moving_object_it_waits_for_the_time_out(reacher, near, drift):
     run, at, gate = _handed_off(reacher, near, drift)
     assert run["timer"][at] == pytest.approx(gate.late, abs=reacher.config.controller.dt)
 
 
 @pytest.mark.parametrize("tips", [pytest.param(0.0, marks=pytest.mark.long), 0.035])
+@pytest.mark.long
 def test_where_progress_stalls_fairly_near_tips_are_handed_off_and_others_go_elsewhere(
     reacher, tips
 ):
@@ -147,6 +150,7 @@ def test_where_progress_stalls_fairly_near_tips_are_handed_off_and_others_go_els
 
 
 @pytest.mark.parametrize("ends", [True, False])
+@pytest.mark.long
 def test_a_reach_can_go_on_where_it_would_hand_off(reacher, ends):
     wide = _with(reacher, gate=HandoffGate(midpoint=10.0), hands_off=ends)
     run = _reach(wide, CENTRE, 3)
@@ -214,6 +218,7 @@ def test_a_planned_candidate_is_gone_for_though_its_score_is_too_low_to_be_selec
     assert aimed_at(low, best, jnp.array(False)) != best, "nothing was found for it"
 
 
+@pytest.mark.long
 def test_batched_is_looped(reacher):
     rng = np.random.default_rng(0)
     home = reacher.body.home
@@ -233,6 +238,7 @@ def test_jit_is_eager(reacher):
     np.testing.assert_allclose(_one_tick(reacher, q, CENTRE), jitted, atol=2e-3)
 
 
+@pytest.mark.long
 def test_nothing_knows_names(reacher, tmp_path):
     """The same robot under other names, in another place, gets the same commands."""
     source = reacher.body.robot.mjcf

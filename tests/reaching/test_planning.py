@@ -220,6 +220,7 @@ def test_what_is_in_the_way_and_a_detour_cost_time(planned):
     assert in_haste - longer > 2.0 * 0.4  # of the detour's seconds, three for one
 
 
+@pytest.mark.long
 def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(planned):
     """On an upright cylinder, its three contacts at heights below the upper rim."""
     _, plan, _, _, _ = planned
@@ -332,6 +333,7 @@ def test_contacts_that_ask_for_little_more_than_the_least_are_light_enough(plann
     assert beside[4] and sum(beside) > sum(few), "the least of those that may be used counts"
 
 
+@pytest.mark.long
 def test_postures_cost_by_what_the_thumb_cannot_press(planned):
     """Only of a known weight, and in proportion beyond what it can."""
     reacher, plan, _, _, _ = planned

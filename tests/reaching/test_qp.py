@@ -71,6 +71,7 @@ def test_many_iterations_reach_the_exact_solution(seed):
     assert found.violation < 1e-4
 
 
+@pytest.mark.long
 def test_real_problems_against_the_oracle(drawn):
     problems, warm, exact = drawn
     finite = np.isfinite(exact).all(axis=1)

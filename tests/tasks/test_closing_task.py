@@ -334,6 +334,7 @@ def test_world_that_was_reset_goes_on_as_a_fresh_one(starts, native):
     jax.tree.map(np.testing.assert_array_equal, again, fresh)
 
 
+@pytest.mark.long
 def test_worlds_together_agree_with_worlds_alone(starts, native):
     task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
     rows = [0, 4, 8]
@@ -348,6 +349,7 @@ def test_worlds_together_agree_with_worlds_alone(starts, native):
         )
 
 
+@pytest.mark.long
 def test_jit_agrees_with_eager(starts, native):
     task = ClosingTask(native, starts, ClosingTaskConfig(), QUIET)
     action = jnp.asarray(np.random.default_rng(2).uniform(-1, 1, (2, 15)), jnp.float32)

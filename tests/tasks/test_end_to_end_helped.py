@@ -88,6 +88,7 @@ def test_the_other_joints_have_actions_until_the_lift(scene, starts):
         np.testing.assert_allclose(rest, np.delete(still_one[:lifts, 0], joint, axis=-1), atol=2e-6)
 
 
+@pytest.mark.long
 def test_the_other_joints_stop_at_their_limits(scene, starts):
     task = make(scene, starts, still(starts, [0], 2), replace(CONFIG, action=OTHERS))
     states, _ = play(task, begun(task, [0], 0.0), jnp.ones((600, 1, 19)).at[..., :15].set(0.0))
@@ -117,6 +118,7 @@ def test_the_layout_names_what_the_others_read_and_answer(scene, starts):
     assert {part.what: part.one for part in done}["other_finger_joint"] == 5.0
 
 
+@pytest.mark.long
 def test_the_arm_is_faster_before_the_lift(scene, starts):
     ticks, lifts = 8, 4
     script = still(starts, [0, 0], ticks)
@@ -132,6 +134,7 @@ def test_the_arm_is_faster_before_the_lift(scene, starts):
 
 
 @pytest.mark.parametrize("near", [True, False])
+@pytest.mark.long
 def test_guidance_acts_near_the_contacts_alone_and_straight_at_them(scene, starts, near):
     """Far away, the actions alone move the fingers; near, they are added to what guides."""
     script = still(starts, [0], 3)
@@ -167,6 +170,7 @@ def test_guidance_acts_near_the_contacts_alone_and_straight_at_them(scene, start
         np.testing.assert_array_equal(residual, 0.0)
 
 
+@pytest.mark.long
 def test_without_a_bound_guidance_acts_anywhere_along_the_line_on_which_it_began(scene, starts):
     task = make(scene, starts, still(starts, [0], 2), replace(CONFIG, assisted=True))
     state = begun(task, [0], 1.0)
@@ -194,6 +198,7 @@ def test_settings_that_pay_for_standing_still_are_refused(settings, refused):
         ClosingTaskConfig(reward=RewardConfig(posture=1.0))
 
 
+@pytest.mark.long
 def test_coming_home_along_the_way_pays_what_the_way_is_shorter(scene, starts, way):
     """Whatever path: the sum is the difference of the ends; in the lift nothing is paid."""
     rng, ticks, rows = np.random.default_rng(0), 12, [4]
@@ -218,6 +223,7 @@ def test_coming_home_along_the_way_pays_what_the_way_is_shorter(scene, starts, w
 
 
 @pytest.mark.parametrize("frontier", [0.0, 0.4, 1.0])
+@pytest.mark.long
 def test_a_share_of_the_episodes_begins_as_far_away_as_the_level_allows(scene, starts, frontier):
     curriculum = CurriculumConfig(kind="none", frontier=frontier)
     task = make(scene, starts, still(starts, [0], 2), replace(CONFIG, curriculum=curriculum))
@@ -233,6 +239,7 @@ def test_a_share_of_the_episodes_begins_as_far_away_as_the_level_allows(scene, s
 
 
 @pytest.mark.parametrize("given_up", [0.05, math.inf])
+@pytest.mark.long
 def test_a_training_gives_up_objects_that_are_pushed_away_or_slip(scene, starts, given_up):
     """World 0 pushes it before the lift, world 1 loses it in the lift, world 2 does nothing."""
     rows, ticks = [0, 0, 0], 8
@@ -249,6 +256,7 @@ def test_a_training_gives_up_objects_that_are_pushed_away_or_slip(scene, starts,
     assert not np.asarray(out.broken).any()
 
 
+@pytest.mark.long
 def test_where_the_object_lay_from_the_first_and_what_slips_after_success_is_not_given_up(
     scene, starts
 ):
@@ -276,7 +284,8 @@ def test_the_layout_says_how_fast_the_arm_is_before_the_lift(scene, fast):
     assert one["arm_residual"] == one["other_arm_joint"] == (fast or 0.5)
 
 
-@pytest.mark.parametrize("ticks", [4, pytest.param(900, marks=pytest.mark.long)])
+@pytest.mark.parametrize("ticks", [4, 900])
+@pytest.mark.long
 def test_what_is_over_ends_an_episode_for_learners_and_is_no_truncation(scene, starts, ticks):
     """World 0 fails in the fourth tick: in the middle of its time, or just at the end of it."""
     script = still(starts, [0, 0], 6)

@@ -97,6 +97,7 @@ def test_a_grasp_that_finds_nothing_says_why_and_ends(live, known):
     np.testing.assert_array_equal(live.qpos, last.qpos)
 
 
+@pytest.mark.long
 def test_a_push_moves_the_object_and_the_next_grasp_begins_where_it_came_to_lie(live, known):
     live.put(0, HERE, UPRIGHT)
     live.start(known[0])

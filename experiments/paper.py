@@ -373,7 +373,7 @@ def _run(command: str, scans: Path, console: Console) -> None:
     words = going_on([given.get(word, word) for word in shlex.split(command)])
     console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
-    # What one process has compiled, such as the search for plans, all others of all parts take over.
+    # What one process has compiled, such as the search for plans, the others of all parts use too.
     env = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / FOLDER / "compiled")} | os.environ
     # Processes that share all cores would only wait for each other on one GPU.
     env |= {"JAX_PLATFORMS": "cpu"} if "CORES" in command else {}

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import threading
+from collections import defaultdict
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,14 @@ from mjx_grasp.sim.physics import (
 from mjx_grasp.sim.scene import Scene, build_scene
 
 _FRAMES = ("palm_pos", "palm_mat", "pad_pos", "pad_mat", "joint_axis", "joint_anchor")
+_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
+"""MuJoCo's names of the fields of `PhysicsState`, in their order."""
+_READ = (
+    *("M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "nefc"),
+    *("site_xpos", "site_xmat", "xaxis", "xanchor", "sensordata"),
+)
+_VARIED = ("geom_friction", "body_mass", "body_inertia", "body_invweight0", "body_subtreemass")
+_FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
 class NativePhysics(Physics):
@@ -193,7 +202,7 @@ class _Worlds:
         self._mass_address = finger_rows(scene).address
         self._batch = batch = Batch(model, most, threads)
         self._own = {name: batch.expand(name) for name in _VARIED}
-        self._data = {name: batch.bind(name) for name in (*_GIVEN, *_READ)}
+        self._data = {name: batch.bind(name) for name in (*_STATE, "xfrc_applied", *_READ)}
 
     def step(
         self, state: PhysicsState, params: WorldParams, wrench: Float[np.ndarray, "n 6"]
@@ -202,13 +211,12 @@ class _Worlds:
         n, at = len(wrench), self._at
         self._vary(params)
         d = {name: x[:n] for name, x in self._data.items()}
-        given = state.qpos, state.qvel, state.warmstart, state.ctrl
-        for name, x in zip(_GIVEN, given, strict=False):
+        for name, x in zip(_STATE, state, strict=True):
             d[name][:] = x
         d["xfrc_applied"][:, at.object_body] = wrench
         full = self._times_full(n)
         ids = None if n == self.most else np.arange(n)
-        each: dict[str, list[np.ndarray]] = {n: [] for n in ("delta_v", "mass", "bias", "applied")}
+        each = defaultdict(list)
         for _ in range(self._substeps):
             before = d["qvel"].copy()
             self._batch.step(ids)
@@ -251,23 +259,6 @@ class _Worlds:
     def _times_full(self, n: int) -> np.ndarray:
         """How often contacts or constraints of the first worlds have not found room so far."""
         return self._batch.warning[:n, _FULL, 1].sum(axis=1)
-
-
-_GIVEN = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied")
-_READ = (
-    "M",
-    "qfrc_bias",
-    "qfrc_actuator",
-    "qfrc_passive",
-    "site_xpos",
-    "site_xmat",
-    "xaxis",
-    "xanchor",
-    "sensordata",
-    "nefc",
-)
-_VARIED = ("geom_friction", "body_mass", "body_inertia", "body_invweight0", "body_subtreemass")
-_FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
 def _reading_shapes(scene: Scene, substeps: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:

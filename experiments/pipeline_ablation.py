@@ -7,7 +7,7 @@ setting by which it would choose once only: while a plan is followed its candida
 and without plans, in `paper-reaching`, it is the published selection of every tick.
 
 What is in the file already, of the same settings, files and revision of the code, is left alone, so
-that an interrupted run goes on; `--processes N` shares the blocks of trials.
+that an interrupted run goes on; `--processes N` shares the parts of the trials.
 
   python experiments/pipeline_ablation.py --objects-dir SCANS
 """
@@ -31,7 +31,7 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING, CloserConfig, GripConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps.blocks import Block, joined
+from mjx_grasp.evaluation.grasps.blocks import Part, joined
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
 from mjx_grasp.evaluation.grasps.run import loaded_policy
@@ -273,10 +273,10 @@ class Systems:
             raise InputError("--scenarios", scenario.approach, free)
         self.makers.objects(scenario)
 
-    def block(self, job: tuple[str, Scenario, Block]) -> dict[str, Any]:
-        """A block of a variant's trials under a scenario."""
-        name, scenario, block = job
-        return self.makers.block(scenario, self._make[self.of[name]], block, self._progress)
+    def part(self, job: tuple[str, Scenario, Part]) -> dict[str, Any]:
+        """A part of a variant's trials under a scenario."""
+        name, scenario, part = job
+        return self.makers.part(scenario, self._make[self.of[name]], part, self._progress)
 
 
 def main(config: PipelineAblationConfig) -> None:
@@ -306,24 +306,24 @@ def main(config: PipelineAblationConfig) -> None:
             found = results.get(name, {}).get(at, {})
             return all(found.get(what) == value for what, value in by[name, at].items())
 
-        blocks, left = systems.makers.blocks(), [pair for pair in given if not is_done(*pair)]
+        parts, left = systems.makers.parts(), [pair for pair in given if not is_done(*pair)]
         jobs = [
-            (json.dumps([*pair, by[pair], block.number]), (pair[0], given[pair], block))
+            (json.dumps([*pair, by[pair], part]), (pair[0], given[pair], part))
             for pair in left
-            for block in blocks
+            for part in parts
         ]
         journal = Journal(config.out, header, made["git"])
-        runs = bar.add_task("blocks of trials", total=len(given) * len(blocks))
-        bar.update(runs, completed=len(given) * len(blocks) - len(jobs))
+        runs = bar.add_task("parts of the trials", total=len(given) * len(parts))
+        bar.update(runs, completed=len(given) * len(parts) - len(jobs))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
-        done = journaled(config, Systems.block, jobs, setup, journal)
+        done = journaled(config, Systems.part, jobs, setup, journal)
         for name, at in left:
-            parts = []
-            for _ in blocks:
+            found = []
+            for _ in parts:
                 bar.reset(one, description=f"{name}, {at}")
-                parts.append(next(done))
+                found.append(next(done))
                 bar.update(runs, advance=1)
-            whole = by[name, at] | joined(parts)
+            whole = by[name, at] | joined(found)
             whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
             results.setdefault(name, {})[at] = whole
             ordered = {name: results[name] for name in VARIANTS if name in results}

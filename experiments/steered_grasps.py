@@ -252,6 +252,7 @@ class Steered:
             object_index=np.repeat(np.arange(len(objects)), counts),
             p_wo=np.concatenate([part.p_wo for part in drawn]),
             quat=np.concatenate([part.quat for part in drawn]),
+            headings=np.concatenate([part.headings for part in drawn]),
         )
         # Each is made once: what is compiled for one controller is not for its like.
         self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))

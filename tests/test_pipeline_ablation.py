@@ -111,10 +111,10 @@ def quick(ablation, tmp_path, monkeypatch):
     ran, made = [], {"git": "abc", "versions": versions(), "command": "python", "seed": 0}
     after = SimpleNamespace(runs=None)
 
-    def counted(self, scenario, make, block, progress):
+    def counted(self, scenario, make, part, progress):
         if len(ran) == after.runs:
             raise KeyboardInterrupt
-        ran.append((scenario.description, scenario.told, scenario.weighed, make, block))
+        ran.append((scenario.description, scenario.told, scenario.weighed, make, part))
         progress(0.5)
         return [row(), row("slipped")]
 
@@ -156,7 +156,7 @@ def test_it_goes_on_where_it_stopped(quick):
     assert "weight-unknown" in json.loads(quick.config.out.read_text())["results"]
 
 
-def test_a_variant_that_was_cut_short_loses_no_block_of_trials(quick):
+def test_a_variant_that_was_cut_short_loses_no_part_of_the_trials(quick):
     config = replace(quick.config, episodes=3 * 64, variants=("full",), scenarios=("nominal",))
     quick.after.runs = 2
     with pytest.raises(KeyboardInterrupt):
@@ -164,15 +164,15 @@ def test_a_variant_that_was_cut_short_loses_no_block_of_trials(quick):
     assert not config.out.exists(), "only what is whole is a result"
     quick.after.runs = None
     quick.main(replace(config, variants=("full", "grip")))
-    assert [ran[-1].number for ran in quick.ran] == [0, 1, 2, 0, 1, 2]
-    assert len({ran[-1].seed for ran in quick.ran}) == 3
+    assert [part[0].number for *_, part in quick.ran] == [0, 1, 2, 0, 1, 2]
+    assert len({part[0].seed for *_, part in quick.ran}) == 3
     found = json.loads(config.out.read_text())
     assert len(found["results"]["full"]["nominal"]["rows"]) == 6
     assert list(config.out.parent.iterdir()) == [config.out]
 
 
 @pytest.mark.parametrize("other", ["revision", "uncommitted", "scenario"])
-def test_blocks_of_other_settings_or_code_are_run_again(quick, other, tmp_path):
+def test_parts_of_other_settings_or_code_are_run_again(quick, other, tmp_path):
     windy = tmp_path / "windy.yaml"
     windy.write_text("push: {force: 1.0}\nhold_s: 3\n")
     config = replace(quick.config, episodes=2 * 64, variants=("full",), scenarios=(str(windy),))
@@ -187,7 +187,7 @@ def test_blocks_of_other_settings_or_code_are_run_again(quick, other, tmp_path):
     elif other == "revision":
         quick.made["git"] = "abd"
     quick.main(config)
-    assert [ran[-1].number for ran in quick.ran] == [0, 0, 1]
+    assert [part[0].number for *_, part in quick.ran] == [0, 0, 1]
 
 
 @pytest.mark.parametrize("other", ["episodes", "revision", "uncommitted", "policy", "scenario"])

@@ -72,6 +72,7 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot):
         np.array([0, 0, 0]),
         np.float32([[0.5, 0.1, height], [0.55, -0.15, height], [0.96, 0.66, height]]),
         np.repeat(np.float32([cube.resting[0].quat]), 3, axis=0),
+        np.zeros((3, 2)),
     )
     physics = NativePhysics(build_scene([cube], robot), grasper.dt)
     known = known_of([known_object(cube, robot)], problem)
@@ -97,3 +98,12 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot):
     record = as_record(rows)
     assert record["all"]["success_percent"] == 100.0
     assert sum(record["objects"][cube.name][name] for name in OUTCOMES) == 2
+
+
+def test_what_acts_on_trials_has_headings_all_around_as_drawn(cube, robot):
+    scene = build_scene([cube], robot)
+    first, again, other = (draw_problem(scene, 40, seed).headings for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert first.shape == (40, 2) and not np.isin(first, other).any()
+    for of in first.T:
+        assert np.histogram(of, bins=4, range=(0, 2 * np.pi))[0].min() > 3

@@ -113,7 +113,8 @@ def test_a_slow_tracker_has_a_reading_now_and_then():
 def drawn(settings, worlds=4, mass=0.5):
     p_wo = np.tile([0.5, -0.2, 0.05], (worlds, 1))
     masses = np.full(worlds, mass)
-    return circumstances.draw_circumstances(settings, p_wo, masses, 0.8, TIPS, DT, 0)
+    headings = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (worlds, 2))
+    return circumstances.circumstances(settings, p_wo, headings, masses, 0.8, TIPS, DT)
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +243,9 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
     grasper = grasper_of(robot, reaching=whole_grasps("paper"))
     shape = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
     candidates = cylinder_candidates(*shape, robot.hand.span, around=8, along=3)
-    problem = GraspProblem(np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]))
+    problem = GraspProblem(
+        np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]), np.zeros((1, 2))
+    )
     known = problems.known_of([Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))], problem)
     for weighed, weight in ((True, 2.0), (False, 0.0)):
         with pytest.raises(BegunError) as begins:
@@ -307,7 +310,7 @@ def row_of(
     progress = initial_progress((1,))._replace(success=jnp.array([success]))
     end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]))
     trace = SimpleNamespace(phase=phase, force=force, rise=np.array(rise)[:, None], over=over)
-    problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)))
+    problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((1, 2)))
     return grasp_rows(["box"], problem, end, trace, DT, hold_s)[0]
 
 
@@ -424,7 +427,7 @@ def test_only_meshes_have_the_weight_that_is_asked_for(robot):
 
 def test_own_objects_of_a_scenario_share_its_trials_and_have_one_each(robot):
     def trials(episodes, *own):
-        problem = asked.problem(Scenario(objects=own), grasper_of, Block(0, episodes, 0))
+        problem = asked.problem(Scenario(objects=own), grasper_of, (Block(0, episodes, 0),))
         return np.bincount(problem.object_index).tolist()
 
     asked = makers(robot, "rubiks_cube", "foam_brick")
@@ -467,13 +470,14 @@ def test_the_table_has_whole_names_in_a_narrow_terminal():
 
 @pytest.fixture
 def quick(tmp_path, monkeypatch, committed):
-    """Two scenarios of two blocks each without a single grasp, and a run that is killed."""
+    """Two scenarios of two parts each without a single grasp, and a run that is killed."""
     ran, after = [], SimpleNamespace(runs=None)
 
-    def counted(self, scenario, make, block, progress):
+    def counted(self, scenario, make, part, progress):
         if len(ran) == after.runs:
             raise KeyboardInterrupt
-        ran.append((scenario.hold_s, block.number))
+        ((number, _, _),) = part
+        ran.append((scenario.hold_s, number))
         progress(0.5)
         return [row(), row("slipped")]
 
@@ -499,7 +503,7 @@ def quick(tmp_path, monkeypatch, committed):
 
 
 @pytest.mark.parametrize("runs", [1, 2, 3])
-def test_scenarios_that_were_killed_lose_no_block_and_the_file_holds_whole_ones(quick, runs):
+def test_scenarios_that_were_killed_lose_no_part_and_the_file_holds_whole_ones(quick, runs):
     quick.after.runs, out = runs, quick.config.out
     with pytest.raises(KeyboardInterrupt):
         quick.run()
@@ -508,7 +512,7 @@ def test_scenarios_that_were_killed_lose_no_block_and_the_file_holds_whole_ones(
     quick.after.runs = None
     said = quick.run()
     assert ("goes on after calm" in said) == (runs > 1)
-    assert ("1 blocks of trials" in said) == (runs != 2)
+    assert ("1 parts of the trials" in said) == (runs != 2)
     assert quick.ran == [(1.0, 0), (1.0, 1), (3.0, 0), (3.0, 1)], "none twice"
     found = json.loads(out.read_text())
     assert set(found) == {"schema", "config", "scenarios", "sha256", "provenance"}
@@ -566,3 +570,13 @@ def test_scenarios_run_are_told_of_and_go_on_where_they_stopped(tmp_path):
     again = command("--scenarios", "nominal", "pushed_in_hand", *flags)
     assert "goes on after nominal" in " ".join(again.stderr.split())
     assert json.loads(out.read_text())["scenarios"]["nominal"]["seconds"] == 12345.0
+
+
+def test_a_part_has_the_poses_and_headings_of_its_blocks_one_after_the_other(robot):
+    asked = makers(robot, "rubiks_cube", "foam_brick")
+    blocks = Block(0, 3, 5), Block(1, 2, 8)
+    whole = asked.problem(Scenario(), grasper_of, blocks)
+    alone = [asked.problem(Scenario(), grasper_of, (block,)) for block in blocks]
+    for values, *parts in zip(whole, *alone, strict=True):
+        np.testing.assert_array_equal(values, np.concatenate(parts))
+    assert whole.object_index.tolist() == [0] * 3 + [1] * 3 + [0] * 2 + [1] * 2

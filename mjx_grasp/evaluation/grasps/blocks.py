@@ -1,16 +1,22 @@
-"""Trials of a run in blocks: processes share them, and a run that was killed loses none of them."""
+"""Trials of a run in blocks, the same on every machine, and in parts that run at once.
+
+Processes share the parts, and a run that was killed loses none that is finished.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
 
 TRIALS = 64
-"""of a block, about: enough at once to be worth what a batch costs"""
+"""of a block, about: enough at once to be worth what a batch costs on a CPU"""
+TRIALS_AT_ONCE = 2048
+"""of a part on a GPU, about: it does hardly less with fewer"""
 
 
 class Block(NamedTuple):
@@ -22,6 +28,10 @@ class Block(NamedTuple):
     """of each object"""
     seed: int
     """of the poses, the plans and what happens"""
+
+
+Part = tuple[Block, ...]
+"""Blocks that are run at once."""
 
 
 def blocks_of(episodes: int, objects: int, seed: int) -> list[Block]:
@@ -40,11 +50,24 @@ def blocks_of(episodes: int, objects: int, seed: int) -> list[Block]:
     return blocks
 
 
+def parts_of(blocks: Sequence[Block], objects: int) -> list[Part]:
+    """The blocks of a run, a part at a time: each alone on a CPU, many at once on a GPU.
+
+    Args:
+        blocks: All of them.
+        objects: How many objects there are.
+    """
+    most = 1
+    if jax.default_backend() != "cpu":
+        most = max(1, TRIALS_AT_ONCE // (objects * max(block.episodes for block in blocks)))
+    return [tuple(blocks[k : k + most]) for k in range(0, len(blocks), most)]
+
+
 def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What a results file holds of a run: seconds, sums and rows.
 
     Args:
-        parts: Seconds and rows of all of its blocks, in their order (`Makers.block`).
+        parts: Seconds and rows of all of its parts, in their order (`Makers.part`).
     """
     every = [_row(row) for part in parts for row in part["rows"]]
     return {"seconds": round(sum(part["seconds"] for part in parts), 1), **as_record(every)}

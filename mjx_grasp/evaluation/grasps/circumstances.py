@@ -58,33 +58,32 @@ class Circumstances(NamedTuple):
     """spheres: centre and radius [m]"""
 
 
-def draw_circumstances(
+def circumstances(
     scenario: Scenario,
     p_wo: Float[np.ndarray, "w 3"],
+    headings: Float[np.ndarray, "w 2"],
     mass: Float[np.ndarray, " w"],
     friction: float,
     tips: Float[np.ndarray, " 3"],
     dt: float,
-    seed: int,
 ) -> Circumstances:
-    """Draws what differs between trials.
+    """What a scenario is in each trial.
 
     Args:
         scenario: What happens.
         p_wo: Object origins at the start [m].
+        headings: `GraspProblem.headings` [rad].
         mass: As the catalogue has it [kg].
         friction: Of an object on the table [-].
         tips: Midpoint of the fingertips at home [m].
         dt: Control period [s].
-        seed: Of the draw.
     """
-    rng, worlds = np.random.default_rng([seed, 2]), len(p_wo)
-    angles = rng.uniform(0.0, 2.0 * np.pi, (2, worlds))
+    angles = headings.T
     carried, pushed = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
     belt, push = scenario.belt, scenario.push
     if belt.heading == "across":
         carried = np.where(p_wo[:, 1:2] > 0, -1.0, 1.0) * np.array([0.0, 1.0, 0.0])
-    balls = np.zeros((worlds, len(scenario.obstacles), 4))
+    balls = np.zeros((len(p_wo), len(scenario.obstacles), 4))
     for k, ball in enumerate(scenario.obstacles):
         way = p_wo - tips
         length = np.linalg.norm(way, axis=1, keepdims=True)

@@ -20,6 +20,9 @@ def hits(
         q: Joint positions, robot order [rad].
         obstacles: Centre and radius [m].
     """
+    touched = np.zeros(q.shape[1], bool)
+    if not obstacles.size:
+        return touched
     spec = robot_mjspec(robot)
     sphere, names = mujoco.mjtGeom.mjGEOM_SPHERE, [f"ball{k}" for k in range(obstacles.shape[1])]
     for name in names:  # not at the origin: MuJoCo would take them to stay there
@@ -31,7 +34,6 @@ def hits(
         for g in range(model.ngeom)
         if g not in ids and model.geom_contype[g] | model.geom_conaffinity[g]
     ]
-    touched = np.zeros(q.shape[1], bool)
     nearest = np.zeros(6)
     for w in range(q.shape[1]):
         for ball, at in zip(ids, obstacles[w], strict=True):

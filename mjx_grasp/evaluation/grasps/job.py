@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps.blocks import Block, joined
+from mjx_grasp.evaluation.grasps.blocks import Part, joined
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
@@ -46,31 +46,31 @@ class _Grasps:
         self.makers = Makers(config, robot)
         self._config, self._progress = config, progress
 
-    def check(self, name: str, scenario: Scenario, blocks: Sequence[Block]) -> None:
+    def check(self, name: str, scenario: Scenario, parts: Sequence[Part]) -> None:
         """Refuses a scenario before anything long starts.
 
         Raises:
             InputError, FileError: It cannot work.
         """
         try:
-            self.makers.check(scenario, self._make, blocks)
+            self.makers.check(scenario, self._make, parts)
         except InputError as error:
             raise InputError(f"{name}: {error.field}", error.found, error.expected) from None
 
-    def block(self, job: tuple[Scenario, Block]) -> dict[str, Any]:
-        """What came of a block of a scenario."""
-        scenario, block = job
-        return self.makers.block(scenario, self._make, block, self._progress)
+    def part(self, job: tuple[Scenario, Part]) -> dict[str, Any]:
+        """What came of a part of a scenario."""
+        scenario, part = job
+        return self.makers.part(scenario, self._make, part, self._progress)
 
     def _make(self, robot: RobotSpec, approach: Approach) -> Grasper:
         return loaded_grasper(robot, self.file, self._config.force_budget, approach=approach)
 
 
 def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
-    """Runs what is asked for and writes the file after each scenario; blocks are in the journal.
+    """Runs what is asked for and writes the file after each scenario; parts are in the journal.
 
     Args:
-        config: Scenarios, objects, controller, file, and who shares the blocks.
+        config: Scenarios, objects, controller, file, and who shares the parts.
         console: For progress.
 
     Returns:
@@ -82,43 +82,43 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     check_writable("--out", config.out)
     scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
     about = {name: {"settings": to_record(scenario)} for name, scenario in scenarios.items()}
-    name, parts = "", list[dict[str, Any]]()  # the scenario whose turn it is, its finished blocks
+    name, found = "", list[dict[str, Any]]()  # the scenario whose turn it is, its finished parts
     with counting_progress(console) as bar:
 
         def show(share: float) -> None:
-            bar.update(bars[name], completed=_PERCENT * (len(parts) + share))
+            bar.update(bars[name], completed=_PERCENT * (len(found) + share))
 
         own = _Grasps(config, show)
         header = {"schema": SCHEMA, "config": to_record(unspread(config))}
         header |= {"sha256": file_digests(policy=own.file)}
         done = _before(config.out, header, made["git"], about)
-        blocks = own.makers.blocks()
+        parts = own.makers.parts()
         left = [name for name in scenarios if name not in done]
         for name in left:
-            own.check(name, scenarios[name], blocks)
+            own.check(name, scenarios[name], parts)
         jobs = [
-            (f"{name}, block {block.number}", (scenarios[name], block))
+            (f"{name}, blocks {part[0].number} to {part[-1].number}", (scenarios[name], part))
             for name in left
-            for block in blocks
+            for part in parts
         ]
         journal = Journal(config.out, header | {"scenarios": about}, made["git"])
         kept = sum(job in journal.done for job, _ in jobs)
         if done or kept:
-            after = [*done, *([f"{kept} blocks of trials"] if kept else [])]
+            after = [*done, *([f"{kept} parts of the trials"] if kept else [])]
             console.print(f"{config.out}: goes on after {', '.join(after)}")
-        whole = _PERCENT * len(blocks)
+        whole = _PERCENT * len(parts)
         bars = {
             name: bar.add_task(name, total=whole, completed=whole if name in done else 0)
             for name in scenarios
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
-        results = journaled(config, _Grasps.block, jobs, setup, journal)
+        results = journaled(config, _Grasps.part, jobs, setup, journal)
         for name in left:
-            parts = []
-            for _ in blocks:
-                parts.append(next(results))
+            found = []
+            for _ in parts:
+                found.append(next(results))
                 show(0.0)
-            done[name] = about[name] | joined(parts)
+            done[name] = about[name] | joined(found)
             ordered = {name: done[name] for name in scenarios if name in done}
             write_json(config.out, header | {"scenarios": ordered, "provenance": made})
     journal.close()

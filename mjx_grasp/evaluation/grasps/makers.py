@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from mjx_grasp.evaluation.grasps.blocks import Block, blocks_of
+import numpy as np
+
+from mjx_grasp.evaluation.grasps.blocks import Block, Part, blocks_of, parts_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
@@ -42,16 +44,16 @@ class Makers:
     _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
     _known: dict[Any, list[Known]] = field(default_factory=dict)
 
-    def blocks(self) -> list[Block]:
-        """All trials of a scenario, in blocks.
+    def parts(self) -> list[Part]:
+        """All trials of a scenario, in parts that are run at once.
 
         Raises:
             InputError, FileError: The objects cannot be had.
         """
-        config = self.config
-        return blocks_of(config.episodes, len(self.objects(Scenario())), config.seed)
+        config, objects = self.config, len(self.objects(Scenario()))
+        return parts_of(blocks_of(config.episodes, objects, config.seed), objects)
 
-    def check(self, scenario: Scenario, make: MakeGrasper, blocks: Sequence[Block]) -> None:
+    def check(self, scenario: Scenario, make: MakeGrasper, parts: Sequence[Part]) -> None:
         """Refuses a scenario before anything long starts; arguments as of `run`.
 
         Raises:
@@ -59,61 +61,65 @@ class Makers:
         """
         self.grasper(make, scenario)
         self.known(scenario)
-        for block in blocks:
-            self.problem(scenario, make, block)
+        for part in parts:
+            self.problem(scenario, make, part)
 
-    def block(
+    def part(
         self,
         scenario: Scenario,
         make: MakeGrasper,
-        block: Block,
+        part: Part,
         progress: Callable[[float], None] = lambda share: None,
     ) -> dict[str, Any]:
-        """Seconds and rows of a block of a scenario, as JSON; arguments as of `run`."""
+        """Seconds and rows of a part of a scenario, as JSON; arguments as of `run`."""
         started = time.perf_counter()
-        rows = [asdict(row) for row in self.run(scenario, make, block, progress)]
+        rows = [asdict(row) for row in self.run(scenario, make, part, progress)]
         return {"seconds": round(time.perf_counter() - started, 1), "rows": rows}
 
     def run(
         self,
         scenario: Scenario,
         make: MakeGrasper,
-        block: Block,
+        part: Part,
         progress: Callable[[float], None] = lambda share: None,
     ) -> list[GraspRow]:
-        """A block of a scenario; its poses and draws are the same for every controller.
+        """A part of a scenario; its poses and headings are the same for every controller.
 
         Args:
             scenario: What happens.
             make: What makes the controller. The same one makes it once.
-            block: Which trials.
+            part: Which trials.
             progress: Told which share of the longest possible time is done.
 
         Raises:
             InputError: The objects cannot be had, not be grasped, or not lie where they are to.
         """
-        known, problem = self.known(scenario), self.problem(scenario, make, block)
+        known, problem = self.known(scenario), self.problem(scenario, make, part)
         grasper, library = self.grasper(make, scenario), self.library(make, scenario)
         end, trace = grasp_all(
             grasper, library, self.world(scenario, grasper.dt), known_of(known, problem), problem,
-            scenario, block.seed, progress,
+            scenario, part[0].seed, progress,
         )  # fmt: skip
         names = [obj.name for obj in self.objects(scenario)]
         return grasp_rows(names, problem, end, trace, grasper.dt, scenario.hold_s)
 
-    def problem(self, scenario: Scenario, make: MakeGrasper, block: Block) -> GraspProblem:
-        """The poses of a block of a scenario; arguments as of `run`.
+    def problem(self, scenario: Scenario, make: MakeGrasper, part: Part) -> GraspProblem:
+        """The poses of a part of a scenario; arguments as of `run`.
 
         Raises:
             InputError: The objects cannot be had, or not lie as far away as they are to.
         """
         scene = self.scene(scenario)
-        # As many trials where a scenario names its own: the compiled functions are shared.
-        trials = max(1, block.episodes * len(self.objects(Scenario())) // len(scene.objects))
         away = None
         if scenario.away:
             away = Away(home_tips(self.grasper(make, scenario)), scenario.away)
-        return draw_problem(scene, trials, block.seed, away=away)
+
+        def of(block: Block) -> GraspProblem:
+            # As many trials where a scenario names its own: the compiled functions are shared.
+            trials = max(1, block.episodes * len(self.objects(Scenario())) // len(scene.objects))
+            return draw_problem(scene, trials, block.seed, away=away)
+
+        return GraspProblem(*map(np.concatenate, zip(*map(of, part), strict=True)))
 
     def grasper(self, make: MakeGrasper, scenario: Scenario) -> Grasper:
         """A controller for a scenario."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import jax
@@ -10,8 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from mjx_grasp.pipeline.grasper import Grasper
-from mjx_grasp.pipeline.state import Known, Seen, Tried, Ways
+from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library
+
+_TOGETHER = 128
+"""Worlds that a GPU plans for at once, few in hardly less time; a CPU plans for one at a time."""
 
 
 def planned(
@@ -23,8 +27,9 @@ def planned(
     tried: Tried,
     key: Array,
     rows: Int[np.ndarray, " k"],
+    together: int | None = None,
 ) -> Ways | None:
-    """Plans of some worlds, one at a time; None where the controller makes none.
+    """Plans of some worlds; None where the controller makes none.
 
     Args:
         grasper: The controller.
@@ -34,22 +39,71 @@ def planned(
         q: Measured joint positions [rad].
         tried: In each world, see `Grasper.plan`.
         key: Of what is tried at random.
-        rows: The worlds.
+        rows: The worlds, one at least.
+        together: So many are planned for at once; by default what the device does best.
     """
     if library is None:
         return None
+    parts = planned_in_parts(grasper, library, known, seen, q, tried, key, rows, together)
+    found = [jax.device_get(ways) for _, ways in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
+
+
+def planned_in_parts(
+    grasper: Grasper,
+    library: Library,
+    known: Known,
+    seen: Seen,
+    q: Float[Array, "w n"],
+    tried: Tried,
+    key: Array,
+    rows: Int[np.ndarray, " k"],
+    together: int | None = None,
+) -> Iterator[tuple[Int[Array, " part"], Ways]]:
+    """Worlds and their plans, some at a time; arguments as of `planned`.
+
+    All parts are of the same size: the last one is filled up with a world behind the last one.
+    """
+    together = together or (1 if jax.default_backend() == "cpu" else _TOGETHER)
     given = known, seen, q, tried
-    found = [_plan(grasper, library, given, key, jnp.int32(row)) for row in rows]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
+    for first in range(0, len(rows), together):
+        part = np.full(together, len(q), np.int32)
+        some = rows[first : first + together]
+        part[: len(some)] = some
+        yield jnp.asarray(part), _plans(grasper, library, given, key, jnp.asarray(part))
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _plan(
+def _plans(
     grasper: Grasper,
     library: Library,
     given: tuple[Known, Seen, Float[Array, "w n"], Tried],
     key: Array,
-    row: Int[Array, ""],
+    rows: Int[Array, " part"],
 ) -> Ways | None:
-    known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], given)
-    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
+    def of(row: Int[Array, ""]) -> Ways | None:
+        known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], given)
+        return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
+
+    rows = jnp.minimum(rows, len(given[2]) - 1)
+    if len(rows) == 1:  # as of one world: what a batch computes in vain is not computed
+        return jax.tree.map(lambda leaf: leaf[None], of(rows[0]))
+    return jax.vmap(of)(rows)
+
+
+@partial(jax.jit, static_argnames="grasper")
+def with_plans(
+    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[Array, " part"]
+) -> GraspState:
+    """All worlds, some of them with new plans.
+
+    Args:
+        grasper: The controller.
+        state: Of all worlds, stacked.
+        ways: Of these worlds, from `planned_in_parts`.
+        rows: The worlds; one behind the last stands for none.
+    """
+    last = len(state.phase) - 1
+    some = jax.tree.map(lambda leaf: leaf[jnp.minimum(rows, last)], state)
+    new = jax.vmap(grasper.adopt)(some, ways)
+    return jax.tree.map(lambda old, row: old.at[rows].set(row, mode="drop"), state, new)

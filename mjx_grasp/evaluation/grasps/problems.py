@@ -50,7 +50,7 @@ def draw_problem(
     Args:
         scene: Robot and objects.
         trials: Poses of each.
-        seed: Of the poses.
+        seed: Of the poses and headings.
         config: The object area, and how many stand as scanned.
         away: From where they keep away.
         objects: Which of the scene's; all by default.
@@ -81,10 +81,13 @@ def draw_problem(
         raise InputError("object", obj.name, "one with room beside the robot at home")
 
     places = [poses(index) for index in indices]
+    worlds = trials * len(places)
+    angles = np.random.default_rng([seed, 2]).uniform(0.0, 2.0 * np.pi, (2, worlds))
     return GraspProblem(
         object_index=np.repeat(np.asarray(indices), trials),
         p_wo=np.concatenate([p for p, _ in places]).astype(np.float32),
         quat=np.concatenate([quat for _, quat in places]).astype(np.float32),
+        headings=angles.T,
     )
 
 

@@ -19,11 +19,11 @@ from mjx_grasp.evaluation.grasps.circumstances import (
     Circumstances,
     belt_start,
     belt_wrench,
-    draw_circumstances,
+    circumstances,
     push_wrench,
 )
 from mjx_grasp.evaluation.grasps.hits import hits
-from mjx_grasp.evaluation.grasps.plans import planned
+from mjx_grasp.evaluation.grasps.plans import planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
@@ -58,6 +58,8 @@ class GraspProblem(NamedTuple):
     """object origin at the start [m]"""
     quat: Float[np.ndarray, "w 4"]
     """its rotation, w-x-y-z"""
+    headings: Float[np.ndarray, "w 2"]
+    """from x about z, of what carries it and of what pushes it, if anything does [rad]"""
 
 
 class Trace(NamedTuple):
@@ -139,7 +141,7 @@ def grasp_all(
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
         scenario: What happens meanwhile; by default nothing.
-        seed: Of the plans and of what happens.
+        seed: Of the plans and of the tracker's noise.
         progress: Told which share of the longest possible time is done.
     """
     scenario = scenario or Scenario()
@@ -157,7 +159,7 @@ def grasp_all(
     ctrl = jnp.broadcast_to(jnp.asarray(home[order]), (worlds, len(home)))
     tips = home_tips(grasper)
     mass = np.array([obj.mass for obj in scene.objects])[problem.object_index]
-    given = draw_circumstances(scenario, problem.p_wo, mass, friction, tips, dt, seed)
+    given = circumstances(scenario, problem.p_wo, problem.headings, mass, friction, tips, dt)
 
     key, noise = jax.random.split(jax.random.key(seed))
     first = jax.random.fold_in(noise, 0)
@@ -190,14 +192,13 @@ def grasp_all(
             break
         due = np.flatnonzero(carry.due & ~over)
         if len(due):
+            assert library is not None  # plans are due of none without a planner
             key = jax.random.fold_in(key, number)
             now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
-            tried, q = carry.grasp.tried, carry.measured.q
-            found = planned(grasper, library, known, now, q, tried, key, due)
-            new = jax.tree.map(lambda a, b, due=due: b.at[due].set(a), found, carry.grasp.ways)
-            mask = np.isin(np.arange(worlds), due)
-            adopted = _adopted(grasper, carry.grasp, new, mask)
-            carry = carry._replace(grasp=adopted, due=carry.due & ~mask)
+            state, tried, q = carry.grasp, carry.grasp.tried, carry.measured.q
+            for rows, ways in planned_in_parts(grasper, library, known, now, q, tried, key, due):
+                state = with_plans(grasper, state, ways, rows)
+            carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
@@ -302,11 +303,3 @@ def _where(mask: Bool[Array | np.ndarray, " w"], first: Tree, other: Tree) -> Tr
         return jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
     return jax.tree.map(chosen, first, other)
-
-
-@partial(jax.jit, static_argnames="grasper")
-def _adopted(
-    grasper: Grasper, state: GraspState, ways: Ways, mask: Bool[Array | np.ndarray, " w"]
-) -> GraspState:
-    """New plans for the masked worlds."""
-    return _where(mask, jax.vmap(grasper.adopt)(state, ways), state)

@@ -10,7 +10,6 @@ state of the middle of the run, with the joint targets held. Compilation is time
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,6 +26,7 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.config import ClosingController
+from mjx_grasp.evaluation.grasps.plans import planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
@@ -137,7 +137,11 @@ def _run(
 ) -> dict[str, Any]:
     """What it takes, and what comes of it."""
     library = start_library(grasper.reacher.body, grasper.planner.config)
-    plans = partial(plans_of, grasper, library, known, config.plan_batch)
+
+    def plans(worlds: Worlds, key: Array, rows: Int[np.ndarray, " k"]) -> Ways | None:
+        return planned(grasper, library, known, *wants(worlds), key, rows, config.plan_batch)
+
+    anew = partial(planned_anew, grasper, library, known, config.plan_batch)
     params = make_params(jnp.asarray(problem.object_index), physics.scene.config.friction[0])
     key, everyone = jax.random.key(config.seed), np.arange(config.worlds)
     worlds = at_home(grasper, physics, problem)
@@ -161,7 +165,7 @@ def _run(
             due = np.flatnonzero(worlds.due)
             if len(due):
                 key = jax.random.fold_in(key, number)
-                worlds, seconds = timed(planned_anew, grasper, plans, worlds, key, due)
+                worlds, seconds = timed(anew, worlds, key, due)
                 replans, replan_s = replans + len(due), replan_s + seconds
     alone = jax.jit(partial(physics_alone, physics)).lower(middle, params).compile()
     physics_s = median(timed(alone, middle, params)[1] for _ in range(_REPEATS))
@@ -204,67 +208,28 @@ def at_home(grasper: Grasper, physics: Physics, problem: GraspProblem) -> Worlds
     return Worlds(state, measured, truth, None, none, none)
 
 
-def plans_of(
+def wants(worlds: Worlds) -> tuple[Seen, Array, Tried]:
+    """What is planned for: where everything is, and what has been tried."""
+    q = worlds.measured.q
+    tried = Tried.nothing(len(q)) if worlds.grasp is None else worlds.grasp.tried
+    return seen_of(worlds.truth), q, tried
+
+
+def planned_anew(
     grasper: Grasper,
     library: Library,
     known: Known,
     batch: int,
     worlds: Worlds,
     key: Array,
-    rows: Int[np.ndarray, " k"],
-) -> Ways:
-    """Plans of some worlds, a batch at a time, the last one filled up; arrays of NumPy."""
-    q = worlds.measured.q
-    tried = Tried.nothing(len(q)) if worlds.grasp is None else worlds.grasp.tried
-    given, found = (known, seen_of(worlds.truth), q, tried), []
-    for k in range(0, len(rows), batch):
-        filled = jnp.asarray(np.resize(rows[k : k + batch], batch))
-        found.append(jax.device_get(batch_plans(grasper, library, given, key, filled)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
-
-
-@partial(jax.jit, static_argnames="grasper")
-def batch_plans(
-    grasper: Grasper,
-    library: Library,
-    given: tuple[Known, Seen, Array, Tried],
-    key: Array,
-    rows: Int[Array, " b"],
-) -> Ways | None:
-    """Plans of a batch of worlds."""
-
-    def one(known: Known, seen: Seen, q: Array, tried: Tried, row: Array) -> Ways | None:
-        return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
-
-    return jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], given), rows)
-
-
-def planned_anew(
-    grasper: Grasper,
-    plans: Callable[..., Ways],
-    worlds: Worlds,
-    key: Array,
     due: Int[np.ndarray, " k"],
 ) -> Worlds:
     """New plans for the worlds that want some."""
-    assert worlds.grasp is not None
-    new = plans(worlds, key, due)
-    ways = jax.tree.map(np.array, jax.device_get(worlds.grasp.ways))
-    for old, some in zip(*map(jax.tree.leaves, (ways, new)), strict=True):
-        old[due] = some
-    grasp = adopted(grasper, worlds.grasp, ways, worlds.due)
+    grasp = worlds.grasp
+    given = grasper, library, known, *wants(worlds), key, due, batch
+    for rows, ways in planned_in_parts(*given):
+        grasp = with_plans(grasper, grasp, ways, rows)
     return worlds._replace(grasp=grasp, due=jnp.zeros_like(worlds.due))
-
-
-@partial(jax.jit, static_argnames="grasper")
-def adopted(grasper: Grasper, grasp: GraspState, ways: Ways, mask: Array) -> GraspState:
-    """New plans for the masked worlds."""
-    new = jax.vmap(grasper.adopt)(grasp, ways)
-
-    def chosen(new: Array, old: Array) -> Array:
-        return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-    return jax.tree.map(chosen, new, grasp)
 
 
 def segment(

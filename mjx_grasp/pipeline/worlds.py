@@ -20,6 +20,8 @@ _SHARE = 1 / 16
 # A GPU computes at once for the least of these shares that holds all who need it: a small part
 # takes little less time than a large one, and asking for another means waiting for it.
 _SHARES = 1 / 16, 1 / 4
+# Each of these parts compiles for itself. Up to so many worlds all of them take little less time.
+_FEW = 2048
 
 
 def for_those(
@@ -43,7 +45,8 @@ def for_those(
         return _in_parts(need, compute, given, otherwise)
     if cheap:
         return _for_all(need, compute, given, otherwise)
-    sizes = sorted({_part(share, worlds) for share in _SHARES} - {worlds})
+    shares = _SHARES if worlds > _FEW else ()
+    sizes = sorted({_part(share, worlds) for share in shares} - {worlds})
     ways: list[Callable[[], Tree]] = [
         lambda: otherwise,
         *(partial(_for_some, need, compute, given, otherwise, size) for size in sizes),

@@ -7,13 +7,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mjx_grasp.pipeline import worlds
 from mjx_grasp.pipeline.worlds import for_those
 
 
-@pytest.fixture(params=["cpu", "gpu"])
+@pytest.fixture(params=["cpu", "gpu", "gpu, few"])
 def backend(request, monkeypatch):
-    """As it is computed on either."""
-    monkeypatch.setattr(jax, "default_backend", lambda: request.param)
+    """As it is computed on either, of many worlds or few."""
+    device, _, few = request.param.partition(", ")
+    monkeypatch.setattr(jax, "default_backend", lambda: device)
+    monkeypatch.setattr(worlds, "_FEW", 64 if few else 0)
     return request.param
 
 
@@ -41,18 +44,18 @@ def test_those_that_need_it_get_it_and_the_others_keep_theirs(backend, cheap, ne
 
 
 @pytest.mark.parametrize(
-    ("needy", "on_cpu", "on_gpu"),
+    ("needy", "on_cpu", "on_gpu", "of_few"),
     [
-        (0, 0, 0),
-        (1, 4, 4),
-        (4, 4, 4),
-        (5, 8, 16),
-        (16, 16, 16),
-        (17, 20, 64),
-        (64, 64, 64),
+        (0, 0, 0, 0),
+        (1, 4, 4, 64),
+        (4, 4, 4, 64),
+        (5, 8, 16, 64),
+        (16, 16, 16, 64),
+        (17, 20, 64, 64),
+        (64, 64, 64, 64),
     ],
 )
-def test_it_is_computed_as_often_as_needed(backend, needy, on_cpu, on_gpu):
+def test_it_is_computed_as_often_as_needed(backend, needy, on_cpu, on_gpu, of_few):
     """In parts of a sixteenth; on a GPU at once, a sixteenth, a fourth or all of them."""
     sizes = []
 
@@ -65,4 +68,4 @@ def test_it_is_computed_as_often_as_needed(backend, needy, on_cpu, on_gpu):
 
     jax.jit(run)(jnp.arange(64) >= 64 - needy).block_until_ready()
     jax.effects_barrier()
-    assert len(sizes) == {"cpu": on_cpu, "gpu": on_gpu}[backend]
+    assert len(sizes) == {"cpu": on_cpu, "gpu": on_gpu, "gpu, few": of_few}[backend]

@@ -287,10 +287,10 @@ def main(config: PipelineAblationConfig) -> None:
     with counting_progress(console) as bar:
         one = bar.add_task("", total=_PERCENT, visible=config.alone)
         systems = Systems(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
-        given = {
+        given = {  # each variant at once, so that what is compiled for one is there for its next
             (name, at): replace(scenario, **VARIANTS[name].scenario)
-            for name in systems.of
             for at, scenario in scenarios.items()
+            for name in systems.of
         }
         for (name, _), scenario in given.items():
             systems.check(name, scenario)
@@ -331,7 +331,8 @@ def main(config: PipelineAblationConfig) -> None:
             content = header | {"variants": says, "results": ordered, "provenance": made}
             write_json(config.out, content)
     journal.close()
-    Console().print(scenario_table({f"{n}, {at}": results[n][at] for n, at in given}))
+    table = {f"{n}, {at}": results[n][at] for n in systems.of for at in scenarios}
+    Console().print(scenario_table(table))
     console.print(f"written: {config.out}")
 
 

@@ -30,7 +30,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
-from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways, smoothed
+from mjx_grasp.pipeline.state import GraspState, GraspTick, Known, Seen, Tried, Ways, smoothed
 from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.fields import midpoint
@@ -116,6 +116,22 @@ class _Carry(NamedTuple):
     progress: Progress
 
 
+class _Control(NamedTuple):
+    """What the controllers of all worlds did in a tick, and what is done to the worlds in it."""
+
+    grasp: GraspState
+    done: GraspTick
+    track: Track
+    belt_began: Float[Array, " w"]
+    key: Array
+    ctrl: Float[Array, "w nu"]
+    """position commands [rad]"""
+    wrench: Float[Array, "w 6"]
+    """on the object at its centre of mass: force [N], torque [N m]"""
+    over: Bool[Array, " w"]
+    """whose trials were over before"""
+
+
 def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
     """Midpoint of the fingertips at home, world frame [m]."""
     body = grasper.reacher.body
@@ -180,14 +196,18 @@ def grasp_all(
         reference=in_palm(measured, truth),
         progress=initial_progress((worlds,)),
     )
-    base = jnp.asarray(problem.p_wo[:, 2])
-    replans, parts = np.zeros(worlds, int), []
+    about = jnp.asarray(order), jnp.asarray(problem.p_wo[:, 2]), jnp.float32(scenario.hold_s)
+    replans, ticks = np.zeros(worlds, int), []
     longest = grasper.config.timeout_s + scenario.hold_s + 2.0
     for number in range(round(longest / dt / _SEGMENT)):
-        carry, part = _segment(grasper, physics, carry, params, known, given, base, scenario.hold_s)
-        parts.append(jax.tree.map(np.asarray, part))
+        for _ in range(_SEGMENT):
+            sent = _controlled(grasper, carry, known, given, *about)
+            stepped = _stepped(physics, carry.physics, params, sent)
+            carry, tick = _judged(grasper, carry, sent, stepped, about[1])
+            ticks.append(tick)
+        ticks[-_SEGMENT:] = jax.device_get(ticks[-_SEGMENT:])
         progress(number * _SEGMENT * dt / longest)
-        over = np.asarray(_over(carry.grasp, scenario.hold_s))
+        over = np.asarray(_over(carry.grasp, about[2]))
         if np.all(over):
             break
         due = np.flatnonzero(carry.due & ~over)
@@ -201,7 +221,7 @@ def grasp_all(
             carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
-    trace = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    trace = jax.tree.map(lambda *leaves: np.stack(leaves), *ticks)
     obstacles = np.asarray(given.obstacles)
     hit = hits(scene.robot, trace.qpos[:, :, at.robot_qpos], obstacles)
     return GraspEnd(grasp, judged, replans, obstacles, hit), trace
@@ -214,63 +234,73 @@ def _start(
     return jax.vmap(grasper.start)(measured, known, seen, ways)
 
 
-@partial(jax.jit, static_argnames=("grasper", "physics", "hold_s"))
-def _segment(
+@partial(jax.jit, static_argnames="grasper")
+def _controlled(
+    grasper: Grasper, carry: _Carry, known: Known, given: Circumstances, order: Int[Array, " n"],
+    base: Float[Array, " w"], hold_s: Float[Array, ""],
+) -> _Control:  # fmt: skip
+    """What is sent to the robots, and acts on the objects, until the next tick."""
+    key, noise = jax.random.split(carry.key)
+    tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
+    seen = _seen(tracked, carry.truth, given)
+    grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen)
+    began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
+    p_wo, R_wo = _pose(carry.truth)
+    velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
+    since = grasp.clock - began
+    wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
+    wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
+    over = _over(carry.grasp, hold_s)
+    return _Control(grasp, done, tracked, began, key, done.target[:, order], wrench, over)
+
+
+@partial(jax.jit, static_argnames="physics")
+def _stepped(
+    physics: NativePhysics, state: PhysicsState, params: WorldParams, sent: _Control
+) -> tuple[PhysicsState, Measured, Truth]:
+    """The worlds whose trials are not over, a tick later.
+
+    JAX keeps no compiled function that calls MuJoCo, so this one holds nothing else.
+    """
+    return physics.step(state, params, sent.ctrl, sent.wrench, ~sent.over)
+
+
+@partial(jax.jit, static_argnames="grasper")
+def _judged(
     grasper: Grasper,
-    physics: NativePhysics,
     carry: _Carry,
-    params: WorldParams,
-    known: Known,
-    given: Circumstances,
+    sent: _Control,
+    stepped: tuple[PhysicsState, Measured, Truth],
     base: Float[Array, " w"],
-    hold_s: float,
 ) -> tuple[_Carry, Trace]:
-    """Some ticks of all worlds whose trials are not over."""
+    """All that goes on to the next tick, and what is kept of this one."""
     success, closer, dt = SuccessConfig(), grasper.closer, grasper.dt
-    order = np.argsort(physics.scene.addresses.robot_ctrl)
-
-    def tick(carry: _Carry, _: None) -> tuple[_Carry, Trace]:
-        before, over = carry.grasp.closing.closer.lifting, _over(carry.grasp, hold_s)
-        key, noise = jax.random.split(carry.key)
-        tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
-        seen = _seen(tracked, carry.truth, given)
-        grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen)
-        began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
-        p_wo, R_wo = _pose(carry.truth)
-        velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
-        since = grasp.clock - began
-        wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
-        wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
-        ctrl = done.target[:, order]
-        state, measured, truth = physics.step(carry.physics, params, ctrl, wrench, ~over)
-        here = in_palm(measured, truth)
-        reference = jnp.where(before[:, None], carry.reference, here)
-        lifting = grasp.closing.closer.lifting
-        slip = jnp.where(lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
-        rise = truth.object_pos[:, 2] - base
-        judged = update_progress(carry.progress, rise, slip, success, dt)
-        due = carry.due | done.plans_due
-        went_on = _Carry(
-            state, measured, truth, grasp, due, tracked, began, key, reference, judged
-        )  # fmt: skip
-        after = _where(over, carry, went_on)
-        trace = Trace(
-            phase=after.grasp.phase,
-            qpos=after.physics.qpos,
-            rise=after.truth.object_pos[:, 2] - base,
-            tip_error=done.tip_error,
-            contacts=done.contacts.position,
-            touching=after.truth.tip_found,
-            observed=after.grasp.closing.closer.observed,
-            force=jnp.linalg.norm(after.truth.finger_force, axis=-1),
-            felt=jnp.linalg.norm(
-                closer.forces(after.grasp.closing.closer, after.measured), axis=-1
-            ),
-            over=over,
-        )
-        return after, trace
-
-    return jax.lax.scan(tick, carry, length=_SEGMENT)
+    (state, measured, truth), grasp, over = stepped, sent.grasp, sent.over
+    here = in_palm(measured, truth)
+    before = carry.grasp.closing.closer.lifting
+    reference = jnp.where(before[:, None], carry.reference, here)
+    lifting = grasp.closing.closer.lifting
+    slip = jnp.where(lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
+    rise = truth.object_pos[:, 2] - base
+    judged = update_progress(carry.progress, rise, slip, success, dt)
+    due = carry.due | sent.done.plans_due
+    went_on = _Carry(
+        state, measured, truth, grasp, due, sent.track, sent.belt_began, sent.key, reference, judged
+    )  # fmt: skip
+    after = _where(over, carry, went_on)
+    trace = Trace(
+        phase=after.grasp.phase,
+        qpos=after.physics.qpos,
+        rise=after.truth.object_pos[:, 2] - base,
+        tip_error=sent.done.tip_error,
+        contacts=sent.done.contacts.position,
+        touching=after.truth.tip_found,
+        observed=after.grasp.closing.closer.observed,
+        force=jnp.linalg.norm(after.truth.finger_force, axis=-1),
+        felt=jnp.linalg.norm(closer.forces(after.grasp.closing.closer, after.measured), axis=-1),
+        over=over,
+    )
+    return after, trace
 
 
 def _pose(truth: Truth) -> tuple[Float[Array, "w 3"], Float[Array, "w 3 3"]]:
@@ -287,7 +317,7 @@ def _seen(tracked: Track, truth: Truth, given: Circumstances) -> Seen:
     )
 
 
-def _over(grasp: GraspState, hold_s: float) -> Bool[Array, " w"]:
+def _over(grasp: GraspState, hold_s: float | Float[Array, ""]) -> Bool[Array, " w"]:
     """Which trials are over: failed, or held for long enough, after the time that each one gets."""
     held = grasp.clock - grasp.entered[:, Phase.HOLDING] >= hold_s
     ended = (grasp.phase == Phase.FAILED) | ((grasp.phase == Phase.HOLDING) & held)

@@ -107,7 +107,7 @@ class Part:
     shows: str
     commands: tuple[str, ...]
     """relative to the repository; `SCANS` stands for the folder of scans, `CORES` for the number of
-    cores"""
+    cores, `SHARERS` for that of processes that share a GPU, or without one the cores"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
 
@@ -212,15 +212,15 @@ PARTS = (
         (
             "-m mjx_grasp.scenarios --objects-dir SCANS --objects train held_out "
             "--scenarios nominal --episodes 64 --seed 9 "
-            "--processes CORES --out experiments/results/grasps_all.json",
+            "--processes SHARERS --out experiments/results/grasps_all.json",
             "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
-            "--processes CORES --out experiments/results/scenarios.json",
+            "--processes SHARERS --out experiments/results/scenarios.json",
         ),
     ),
     Part(
         "ablation",
         "whole grasps without one part of the method each",
-        ("experiments/pipeline_ablation.py --objects-dir SCANS --processes CORES",),
+        ("experiments/pipeline_ablation.py --objects-dir SCANS --processes SHARERS",),
     ),
     Part(
         "paper-policy",
@@ -254,6 +254,8 @@ PARTS = (
     ),
 )
 LAST = "experiments/make_readme.py"
+_CORES_EACH = 4
+"""Of processes that share a GPU: MuJoCo's steps take more of a whole grasp than the GPU's part."""
 
 
 @dataclass(frozen=True)
@@ -369,14 +371,15 @@ def _run(command: str, scans: Path, console: Console) -> None:
         MjxGraspError: It failed.
     """
     there = os.path.relpath(scans, ROOT)  # results keep the command
-    given = {"SCANS": there, "CORES": str(usable_cores())}
+    cores = usable_cores()
+    sharers = max(1, cores // _CORES_EACH) if has_gpu() else cores
+    given = {"SCANS": there, "CORES": str(cores), "SHARERS": str(sharers)}
     words = going_on([given.get(word, word) for word in shlex.split(command)])
     console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
-    # What one process has compiled, such as the search for plans, the others of all parts use too.
-    env = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / FOLDER / "compiled")} | os.environ
     # Processes that share all cores would only wait for each other on one GPU.
-    env |= {"JAX_PLATFORMS": "cpu"} if "CORES" in command else {}
+    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if "CORES" in command else {})
+    env |= {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if "SHARERS" in command else {}
     code = subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=False).returncode
     if code:
         raise MjxGraspError(

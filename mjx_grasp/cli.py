@@ -1,4 +1,4 @@
-"""What all commands share: an end without a traceback, and a progress bar.
+"""What all commands share: an end without a traceback, kept compilations, and a progress bar.
 
 Importing this is cheap, and a command's file imports nothing else at its top: the rest follows
 where `starting` watches over it.
@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
 from mjx_grasp.errors import MjxGraspError
+from mjx_grasp.records.compiled import keep_compiled
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +24,11 @@ _INTERRUPTED = 130
 
 
 def run_command(command: Callable[[], None]) -> None:
-    """Runs a command; an expected error ends it with its message and status 2, Ctrl-C with 130."""
+    """Runs a command; an expected error ends it with its message and status 2, Ctrl-C with 130.
+
+    What it compiles, the next one need not compile again.
+    """
+    keep_compiled()
     try:
         command()
     except MjxGraspError as error:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.trials import Trials
@@ -590,6 +591,38 @@ def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path
     assert (tmp_path / "runs" / "paper" / "handoffs.npz").exists()
 
 
+@pytest.mark.parametrize(
+    ("gpu", "word", "processes", "platforms", "preallocates"),
+    [
+        (False, "CORES", 10, "cpu", None),
+        (True, "CORES", 10, "cpu", None),
+        (False, "SHARERS", 10, None, "false"),
+        (True, "SHARERS", 2, None, "false"),
+        (True, "SCANS", ".", None, None),
+    ],
+)
+def test_processes_of_the_paper_share_cores_or_a_gpu(
+    paper, tmp_path, monkeypatch, gpu, word, processes, platforms, preallocates
+):
+    module, began = paper.module, []
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    monkeypatch.setattr(module, "has_gpu", lambda: gpu)
+    monkeypatch.setattr(module, "usable_cores", lambda: 10)
+    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE"):
+        monkeypatch.delenv(name, raising=False)
+
+    def run(words, cwd, env, check):
+        began.append((words[-1], env))
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(module.subprocess, "run", run)
+    module._run(f"x.py --processes {word}", tmp_path, Console(quiet=True))
+    ((last, env),) = began
+    assert last == str(processes)
+    assert env.get("JAX_PLATFORMS") == platforms
+    assert env.get("XLA_PYTHON_CLIENT_PREALLOCATE") == preallocates
+
+
 def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
     paper, tmp_path, monkeypatch
 ):
@@ -651,7 +684,7 @@ def test_commands_of_the_paper_that_use_all_cores_can_share_their_work(monkeypat
     module = script("paper")
     for command in (command for part in module.PARTS for command in part.commands):
         first, *_ = command.split()
-        if "--processes CORES" in command and first.endswith(".py"):
+        if "--processes" in command and first.endswith(".py"):
             found = vars(script(Path(first).stem)).values()
             own = [c for c in found if isinstance(c, type) and c.__module__ == Path(first).stem]
             assert any(issubclass(c, Spread) for c in own), command

@@ -233,4 +233,4 @@ def main(config: DevicesConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(DevicesConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(DevicesConfig, description=__doc__)), keeps=False)

@@ -139,4 +139,4 @@ def main(config: EnginesConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(EnginesConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(EnginesConfig, description=__doc__)), keeps=False)

@@ -162,4 +162,4 @@ def summed(times: list[float]) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(GrasperBenchmarkConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(GrasperBenchmarkConfig, description=__doc__)), keeps=False)

@@ -274,4 +274,4 @@ def timed(function: Any, *given: Any) -> tuple[Any, float]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(WorldsBenchmarkConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(WorldsBenchmarkConfig, description=__doc__)), keeps=False)

@@ -290,4 +290,4 @@ def main(config: BenchmarkConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(BenchmarkConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(BenchmarkConfig, description=__doc__)), keeps=False)

@@ -223,4 +223,4 @@ def main(config: QpBenchmarkConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(QpBenchmarkConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(QpBenchmarkConfig, description=__doc__)), keeps=False)

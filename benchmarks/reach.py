@@ -319,4 +319,4 @@ def main(config: ReachBenchmarkConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ReachBenchmarkConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(ReachBenchmarkConfig, description=__doc__)), keeps=False)

@@ -80,4 +80,4 @@ def main(config: StepConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(StepConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(StepConfig, description=__doc__)), keeps=False)

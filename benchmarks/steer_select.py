@@ -152,4 +152,4 @@ def main(config: SteerSelectConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(SteerSelectConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(SteerSelectConfig, description=__doc__)), keeps=False)

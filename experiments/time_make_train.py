@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import time
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ import tyro
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import check_writable, read_json, replacing
+from mjx_grasp.records.compiled import VARIABLE
 from mjx_grasp.records.provenance import command_line
 from mjx_grasp.records.settings import CommandSettings
 
@@ -118,6 +120,8 @@ def main(config: TimeConfig) -> None:
     """Clones, runs, and writes the results file."""
     check_writable("--out", config.out)
     setup_s = fresh_clone(config.clone, config.python)
+    # As on a new machine: nothing that was compiled before is there.
+    os.environ[VARIABLE] = str(config.clone.resolve() / ".cache" / "compiled")
     train_s = timed(["make", "train"], config.clone)
     (run,) = (config.clone / "runs").iterdir()
     durations = {"setup_s": setup_s, "train_s": train_s, "total_s": setup_s + train_s}

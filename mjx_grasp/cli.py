@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 _INTERRUPTED = 130
 
 
-def run_command(command: Callable[[], None]) -> None:
+def run_command(command: Callable[[], None], keeps: bool = True) -> None:
     """Runs a command; an expected error ends it with its message and status 2, Ctrl-C with 130.
 
-    What it compiles, the next one need not compile again.
+    Args:
+        command: What it does.
+        keeps: Whether the next one need not compile again what it compiles; a benchmark does.
     """
-    keep_compiled()
+    if keeps:
+        keep_compiled()
     try:
         command()
     except MjxGraspError as error:

@@ -59,7 +59,7 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
         targets, distance = view.follow_both(model, poses, trajectory.focus, held, fps)
     try:
         azimuth = view.best_azimuth(model, poses[-1], held, targets[-1])
-        canvas = _Canvas(model, width * _SUPERSAMPLING, height * _SUPERSAMPLING)
+        canvas = _Canvas(model, width, height)
     except Exception as error:
         raise BackendError(_first_line(error)) from error
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
@@ -73,14 +73,14 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
             mujoco.mj_comPos(model, data)
             camera.lookat[:], camera.azimuth = targets[i], azimuth + turn[i]
             camera.distance = distance[i]
-            pictures.append(_shrink(canvas.picture(data, camera), width, height))
+            pictures.append(canvas.picture(data, camera))
     finally:
         canvas.close()
     return pictures
 
 
 class _Canvas:
-    """Where pictures are drawn: colours and what is background come of one drawing.
+    """Where pictures are drawn, larger than they are: colours and background come of one drawing.
 
     `mujoco.Renderer` would draw twice for that, which is most of the time where no GPU draws.
     """
@@ -88,6 +88,7 @@ class _Canvas:
     def __init__(self, model: Any, width: int, height: int):
         import mujoco
 
+        width, height = width * _SUPERSAMPLING, height * _SUPERSAMPLING
         self._model, self._rect = model, mujoco.MjrRect(0, 0, width, height)
         self._colours = np.empty((height, width, 3), np.uint8)
         self._depth = np.empty((height, width), np.float32)
@@ -110,8 +111,8 @@ class _Canvas:
         _add_key_light(self._scene, camera.lookat, camera.azimuth)
         mujoco.mjr_render(self._rect, self._scene, self._context)
         mujoco.mjr_readPixels(self._colours, self._depth, self._rect, self._context)
-        picture = np.where(self._depth[..., None] == 0, _BACKGROUND, self._colours)
-        return np.flipud(picture)
+        np.copyto(self._colours, _BACKGROUND, where=(self._depth == 0)[..., None])
+        return np.flipud(np.asarray(Image.fromarray(self._colours).reduce(_SUPERSAMPLING)))
 
     def close(self) -> None:
         """Gives back what the graphics library holds."""
@@ -230,7 +231,7 @@ def _times(count: int, dt: float, fps: float) -> np.ndarray:
 def _set_visuals(model: Any, width: int, height: int) -> None:
     model.vis.global_.offwidth = max(width, view.JUDGED_PIXELS)
     model.vis.global_.offheight = max(height, view.JUDGED_PIXELS)
-    model.vis.quality.shadowsize = 3072
+    model.vis.quality.shadowsize = 2048  # a larger map costs as much as all the rest
     model.vis.quality.offsamples = 0  # supersampling smooths edges enough, and costs less
     model.vis.map.shadowscale = 0.7
     model.vis.headlight.ambient[:] = 0.42
@@ -256,10 +257,6 @@ def _add_key_light(scene: Any, target: Float[np.ndarray, " 3"], azimuth: float) 
     light.headlight, light.castshadow = 0, 1
     light.bulbradius, light.range, light.texid = 0.05, 10.0, -1
     scene.nlight += 1
-
-
-def _shrink(picture: np.ndarray, width: int, height: int) -> Frame:
-    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX))
 
 
 def _first_line(error: Exception) -> str:

@@ -64,7 +64,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     scenarios = folder / "scenarios.json"
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
-        root / "README.md": {"results": closing_tables.means(results)},
+        root / "README.md": {
+            "grasps": stage_tables.grasps_in_short(scenarios, folder / "grasps_all.json"),
+            "results": closing_tables.means(results),
+        },
         root / "docs" / "reproduction.md": {"claims": paper_tables.claims(folder)},
         root / "experiments" / "README.md": {
             "tables": closing_tables.all_conditions(results),

@@ -207,6 +207,51 @@ def whole_grasps(path: Path) -> str:
     return _closed_by(record) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
 
 
+def grasps_in_short(scenarios: Path, every: Path) -> str:
+    """Grasps from home: of the eight with and without what may happen, and of all objects.
+
+    Args:
+        scenarios: Of the eight objects.
+        every: Of all objects, while nothing happens.
+    """
+    eight, objects = read(scenarios), read(every)
+    if eight is None or objects is None:
+        return NOTHING
+    found = {name: result["rows"] for name, result in eight["scenarios"].items()}
+    lines = [("the eight", *_short_cells(found.pop(NOMINAL)))]
+    if found:
+        worst = min(found, key=lambda name: len(_held(found[name])) / len(found[name]))
+        happens = eight["scenarios"][worst]["settings"]["description"]
+        together = [row for rows in found.values() for row in rows]
+        lines += [
+            (f"{len(found)} scenarios together", *_short_cells(together)),
+            (f"the hardest of these: {happens}", *_short_cells(found[worst])),
+        ]
+    names, rows = objects["scenarios"][NOMINAL]["objects"], objects["scenarios"][NOMINAL]["rows"]
+    for split, said in (("train", "objects of training"), ("held_out", "objects kept out of it")):
+        own = [name for name in names if name in groups()[split]]
+        if own:
+            of = [row for row in rows if row["object"] in own]
+            lines.append((f"{len(own)} {said}", *_short_cells(of)))
+    header = ("from home", "trials", "lifted and held %", "lifted after s", "contact force N")
+    return markdown(Table("Whole grasps", header, tuple(lines)))
+
+
+def _short_cells(rows: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    held = _held(rows)
+    means = (_number(_mean(row[of] for row in held)) for of in ("lifted_s", "force_mean_n"))
+    return str(len(rows)), f"{100.0 * len(held) / len(rows):.1f}", *means
+
+
+def _held(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row["outcome"] == "success"]
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
 def grasps_by_split(path: Path) -> str:
     """Grasps from home of all objects, with sums over those of training and those kept out.
 

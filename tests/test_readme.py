@@ -550,6 +550,39 @@ def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
     assert refused == "- Trials without a way: bowl 2, rubiks cube 1."
 
 
+def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
+    def trials(name, held, lost=0):
+        won = {"object": name, "outcome": "success", "lifted_s": 4.0, "force_mean_n": 3.0}
+        fell = {"object": name, "outcome": "slipped", "lifted_s": 9.0, "force_mean_n": None}
+        return [won] * held + [fell] * lost
+
+    def scenario(rows, says):
+        names = dict.fromkeys(row["object"] for row in rows)
+        return {"settings": {"description": says}, "objects": names, "rows": rows}
+
+    tables, (eight, every) = (
+        make_readme.stage_tables,
+        (tmp_path / n for n in ("8.json", "all.json")),
+    )
+    calm = scenario(trials("apple", 9, 1), "nothing happens")
+    windy = scenario(trials("apple", 1, 1), "wind")
+    breezy = scenario(trials("apple", 6), "a breeze")
+    of_all = scenario(trials("apple", 3, 1) + trials("bowl", 0, 4) + trials("chips_can", 2), "-")
+    eight.write_text(json.dumps({"scenarios": {"nominal": calm, "w": windy, "b": breezy}}))
+    assert tables.grasps_in_short(eight, every) == tables.NOTHING
+    every.write_text(json.dumps({"scenarios": {"nominal": of_all}}))
+    _, _, *lines = tables.grasps_in_short(eight, every).splitlines()
+    assert [values(line) for line in lines] == [
+        ["the eight", "10", "90.0", "4.0", "3.0"],
+        ["2 scenarios together", "8", "87.5", "4.0", "3.0"],
+        ["the hardest of these: wind", "2", "50.0", "4.0", "3.0"],
+        ["2 objects of training", "8", "37.5", "4.0", "3.0"],
+        ["1 objects kept out of it", "2", "100.0", "4.0", "3.0"],
+    ]
+    eight.write_text(json.dumps({"scenarios": {"nominal": calm}}))
+    assert len(tables.grasps_in_short(eight, every).splitlines()) == 5
+
+
 def test_the_controllers_time_has_its_table(tmp_path):
     path, table = tmp_path / "grasper.json", make_readme.speed_tables.grasper_speed
     assert table(path) == make_readme.stage_tables.NOTHING

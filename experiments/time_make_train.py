@@ -22,9 +22,9 @@ import numpy as np
 import tyro
 
 from mjx_grasp.cli import run_command
+from mjx_grasp.compiled import VARIABLE
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import check_writable, read_json, replacing
-from mjx_grasp.records.compiled import VARIABLE
 from mjx_grasp.records.provenance import command_line
 from mjx_grasp.records.settings import CommandSettings
 

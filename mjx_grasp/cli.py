@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
+from mjx_grasp.compiled import keep_compiled
 from mjx_grasp.errors import MjxGraspError
-from mjx_grasp.records.compiled import keep_compiled
 
 if TYPE_CHECKING:
     from rich.console import Console

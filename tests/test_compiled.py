@@ -9,8 +9,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from mjx_grasp.records import compiled
-from mjx_grasp.records.compiled import VARIABLE, keep_compiled
+from mjx_grasp import compiled
+from mjx_grasp.compiled import VARIABLE, keep_compiled
 
 PROGRAM = """
 import logging, sys

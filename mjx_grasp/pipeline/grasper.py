@@ -193,40 +193,32 @@ class Grasper:
         return self._settled(state, after._replace(reach=reach), done)
 
     def ticks(
-        self,
-        state: GraspState,
-        measured: Measured,
-        known: Known,
-        seen: Seen,
-        awake: Bool[Array, " w"] | None = None,
+        self, state: GraspState, measured: Measured, known: Known, seen: Seen
     ) -> tuple[GraspState, GraspTick]:
-        """`tick` of many worlds: each phase for those alone that are in it.
+        """`tick` of many worlds: reaching, by far the dearest phase, for those alone that reach.
 
         Args:
             state: Of each world, stacked, as all that follows.
             measured: Now.
             known: Their objects.
             seen: Where they are now, what touches, what is in the way.
-            awake: Worlds that go on, all by default; what is given of the others is void.
         """
         state, seen = jax.vmap(self._noticed)(state, seen)
 
         def reached(given: tuple[Any, ...]) -> _Reached:
             return _Reached.of(*self._reach(*given))
 
-        def closed(given: tuple[Any, ...]) -> _Closed:
-            return _Closed.of(*self._close(*given))
-
         def begun(given: tuple[Any, ...]) -> ReachState:
             return self._reach_again(*given)
 
-        now, phase = (state, measured, known, seen), state.phase
-        reaches, closes = phase == Phase.REACHING, (phase >= Phase.CLOSING) & (phase < Phase.FAILED)
-        if awake is not None:
-            reaches, closes = reaches & awake, closes & awake
-        still = jax.vmap(self._stop)(*now)
-        rest = for_those(closes, closed, now, _Closed.of(*still), cheap=True).put(state)
-        after, done = for_those(reaches, reached, now, _Reached.of(*rest)).put(rest[0])
+        def otherwise(state: GraspState, *given: Any) -> tuple[GraspState, GraspTick]:
+            closes = (state.phase != Phase.REACHING) & (state.phase != Phase.FAILED)
+            return jax.lax.cond(closes, self._close, self._stop, state, *given)
+
+        rest = jax.vmap(otherwise)(state, measured, known, seen)
+        reaches, now = state.phase == Phase.REACHING, (state, measured, known, seen)
+        found = for_those(reaches, reached, now, _Reached.of(*rest))
+        after, done = found.put(rest[0])
         after, anew = jax.vmap(self._begins_again)(state, after)
         given = measured, known, seen, state.ways
         reach = for_those(anew, begun, given, after.reach, cheap=True)
@@ -462,28 +454,3 @@ class _Reached(NamedTuple):
         done, fresh, contacts = (changed.pop(name) for name in ("done", "fresh", "contacts"))
         closing = state.closing._replace(fresh=fresh, contacts=contacts)
         return state._replace(**changed, closing=closing), done
-
-
-class _Closed(NamedTuple):
-    """What a tick of closing, lifting or holding changes."""
-
-    phase: Int[Array, "*w"]
-    failure: Int[Array, "*w"]
-    returns: Int[Array, "*w"]
-    retries: Int[Array, "*w"]
-    avoid: Float[Array, "*w 3"]
-    reference: Float[Array, "*w n"]
-    closing: ClosingMemory
-    done: GraspTick
-
-    @classmethod
-    def of(cls, state: GraspState, done: GraspTick) -> _Closed:
-        """Taken from a state and its tick."""
-        changed = {name: getattr(state, name) for name in cls._fields[:-1]}
-        return cls(**changed, done=done)
-
-    def put(self, state: GraspState) -> tuple[GraspState, GraspTick]:
-        """Put into a state, and its tick."""
-        changed = self._asdict()
-        done = changed.pop("done")
-        return state._replace(**changed), done

@@ -17,7 +17,6 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
-from mjx_grasp.pipeline import worlds
 from mjx_grasp.pipeline.assemble import (
     grasper_of,
 )
@@ -329,7 +328,6 @@ def backend(request, monkeypatch):
     """As it is computed on either; what is a kernel of a GPU is interpreted."""
     if request.param == "gpu":
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-        monkeypatch.setattr(worlds, "_FEW", 8)
         kernel = partial(admm.in_one_kernel, interpret=True)
         monkeypatch.setattr(admm, "in_one_kernel", kernel)
 
@@ -349,23 +347,6 @@ def test_many_worlds_are_the_map_over_them(backend, grasper, known, everywhere, 
         for k, phase in enumerate(phases):
             atol = 2e-3 if phase == Phase.REACHING else 2e-5
             close(jax.tree.map(lambda leaf, k=k: leaf[k], found), alone[phase], atol)
-
-
-@pytest.mark.long
-def test_worlds_that_sleep_stay_as_they_are_and_the_others_go_on(grasper, known, everywhere, alone):
-    rows = everywhere + everywhere
-    state, measured, what = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
-    objects = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[known] * len(rows))
-    awake = jnp.arange(len(rows)) < len(everywhere)
-    after, done = jax.jit(grasper.ticks)(state, measured, objects, what, awake)
-    for k, expected in enumerate(alone):
-        atol = 2e-3 if k == Phase.REACHING else 2e-5
-        close(jax.tree.map(lambda leaf, k=k: leaf[k], (after, done)), expected, atol)
-    sleep = ~np.asarray(awake)
-    for name in ("phase", "failure", "reach", "ways", "closing", "target", "entered"):
-        now, before = getattr(after, name), getattr(state, name)
-        jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[sleep], b[sleep]), now, before)
-    np.testing.assert_array_equal(done.target[sleep], state.target[sleep])
 
 
 @pytest.mark.long

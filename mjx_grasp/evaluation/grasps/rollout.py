@@ -243,14 +243,14 @@ def _controlled(
     key, noise = jax.random.split(carry.key)
     tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
     seen = _seen(tracked, carry.truth, given)
-    over = _over(carry.grasp, hold_s)
-    grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen, ~over)
+    grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen)
     began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
     p_wo, R_wo = _pose(carry.truth)
     velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
     since = grasp.clock - began
     wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
     wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
+    over = _over(carry.grasp, hold_s)
     return _Control(grasp, done, tracked, began, key, done.target[:, order], wrench, over)
 
 

@@ -26,7 +26,7 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.config import ClosingController
-from mjx_grasp.evaluation.grasps.plans import planned, planned_in_parts, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
@@ -139,7 +139,7 @@ def _run(
     library = start_library(grasper.reacher.body, grasper.planner.config)
 
     def plans(worlds: Worlds, key: Array, rows: Int[np.ndarray, " k"]) -> Ways | None:
-        return planned(grasper, library, known, *wants(worlds), key, rows, config.plan_batch)
+        return planned(grasper, library, wanted(worlds, known), key, rows, config.plan_batch)
 
     anew = partial(planned_anew, grasper, library, known, config.plan_batch)
     params = make_params(jnp.asarray(problem.object_index), physics.scene.config.friction[0])
@@ -208,11 +208,11 @@ def at_home(grasper: Grasper, physics: Physics, problem: GraspProblem) -> Worlds
     return Worlds(state, measured, truth, None, none, none)
 
 
-def wants(worlds: Worlds) -> tuple[Seen, Array, Tried]:
+def wanted(worlds: Worlds, known: Known) -> Wanted:
     """What is planned for: where everything is, and what has been tried."""
     q = worlds.measured.q
     tried = Tried.nothing(len(q)) if worlds.grasp is None else worlds.grasp.tried
-    return seen_of(worlds.truth), q, tried
+    return Wanted(known, seen_of(worlds.truth), q, tried)
 
 
 def planned_anew(
@@ -226,8 +226,7 @@ def planned_anew(
 ) -> Worlds:
     """New plans for the worlds that want some."""
     grasp = worlds.grasp
-    given = grasper, library, known, *wants(worlds), key, due, batch
-    for rows, ways in planned_in_parts(*given):
+    for rows, ways in planned_in_parts(grasper, library, wanted(worlds, known), key, due, batch):
         grasp = with_plans(grasper, grasp, ways, rows)
     return worlds._replace(grasp=grasp, due=jnp.zeros_like(worlds.due))
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from mjx_grasp.evaluation.grasps.plans import planned
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known, Tried, Ways
@@ -194,9 +194,9 @@ class LiveGrasp:
     ) -> Ways | None:
         if library is None:
             return None
-        given = known, seen(truth), measured.q, tried
-        many, there, q, tried = jax.tree.map(lambda leaf: leaf[None], given)
-        found = planned(self.grasper, library, many, there, q, tried, key, np.arange(1))
+        wanted = Wanted(known, seen(truth), measured.q, tried)
+        many = jax.tree.map(lambda leaf: leaf[None], wanted)
+        found = planned(self.grasper, library, many, key, np.arange(1))
         return jax.block_until_ready(jax.tree.map(lambda leaf: leaf[0], found))
 
     def _replan(self, due: bool) -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_grasp.evaluation.grasps.plans import planned, planned_in_parts, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 
 WORLDS = 7
 ROWS = np.array([4, 1, 6])
@@ -32,10 +32,12 @@ class Plans:
 def given():
     values = np.random.default_rng(0).normal(size=(4, WORLDS)).astype(np.float32)
     known, seen, q, tried = map(jnp.asarray, values)
-    return Plans(), jnp.float32(0.5), known, seen, q[:, None], tried, jax.random.key(3)
+    wanted = Wanted(known, seen, q[:, None], tried)
+    return Plans(), jnp.float32(0.5), wanted, jax.random.key(3)
 
 
-def one_by_one(grasper, library, known, seen, q, tried, key):
+def one_by_one(grasper, library, wanted, key):
+    known, seen, q, tried = wanted
     return np.stack(
         [
             grasper.plan(library, known[w], seen[w], q[w], jax.random.fold_in(key, w), tried[w])

@@ -16,7 +16,7 @@ from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
 TRIALS = 64
 """of a block, about: enough at once to be worth what a batch costs on a CPU"""
 TRIALS_AT_ONCE = 2048
-"""of a part on a GPU, about: it does hardly less with fewer"""
+"""of a part on a GPU, about: a tick of few takes it hardly less time"""
 
 
 class Block(NamedTuple):
@@ -27,7 +27,7 @@ class Block(NamedTuple):
     episodes: int
     """of each object"""
     seed: int
-    """of the poses, the plans and what happens"""
+    """of the poses and headings; of plans and noise that of the part's first block"""
 
 
 Part = tuple[Block, ...]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +19,21 @@ _TOGETHER = 128
 """Worlds that a GPU plans for at once, few in hardly less time; a CPU plans for one at a time."""
 
 
+class Wanted(NamedTuple):
+    """What is planned for, of all worlds, stacked."""
+
+    known: Known
+    seen: Seen
+    q: Float[Array, "w n"]
+    """measured joint positions [rad]"""
+    tried: Tried
+    """see `Grasper.plan`"""
+
+
 def planned(
     grasper: Grasper,
     library: Library | None,
-    known: Known,
-    seen: Seen,
-    q: Float[Array, "w n"],
-    tried: Tried,
+    wanted: Wanted,
     key: Array,
     rows: Int[np.ndarray, " k"],
     together: int | None = None,
@@ -34,17 +43,14 @@ def planned(
     Args:
         grasper: The controller.
         library: Where its planner starts; None for one without a planner.
-        known: Of each world's object.
-        seen: What each perceives.
-        q: Measured joint positions [rad].
-        tried: In each world, see `Grasper.plan`.
+        wanted: What is planned for, in all worlds.
         key: Of what is tried at random.
         rows: The worlds, one at least.
         together: So many are planned for at once; by default what the device does best.
     """
     if library is None:
         return None
-    parts = planned_in_parts(grasper, library, known, seen, q, tried, key, rows, together)
+    parts = planned_in_parts(grasper, library, wanted, key, rows, together)
     found = [jax.device_get(ways) for _, ways in parts]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
 
@@ -52,10 +58,7 @@ def planned(
 def planned_in_parts(
     grasper: Grasper,
     library: Library,
-    known: Known,
-    seen: Seen,
-    q: Float[Array, "w n"],
-    tried: Tried,
+    wanted: Wanted,
     key: Array,
     rows: Int[np.ndarray, " k"],
     together: int | None = None,
@@ -65,27 +68,26 @@ def planned_in_parts(
     All parts are of the same size: the last one is filled up with a world behind the last one.
     """
     together = together or (1 if jax.default_backend() == "cpu" else _TOGETHER)
-    given = known, seen, q, tried
     for first in range(0, len(rows), together):
-        part = np.full(together, len(q), np.int32)
+        part = np.full(together, len(wanted.q), np.int32)
         some = rows[first : first + together]
         part[: len(some)] = some
-        yield jnp.asarray(part), _plans(grasper, library, given, key, jnp.asarray(part))
+        yield jnp.asarray(part), _plans(grasper, library, wanted, key, jnp.asarray(part))
 
 
 @partial(jax.jit, static_argnames="grasper")
 def _plans(
     grasper: Grasper,
     library: Library,
-    given: tuple[Known, Seen, Float[Array, "w n"], Tried],
+    wanted: Wanted,
     key: Array,
     rows: Int[Array, " part"],
 ) -> Ways | None:
     def of(row: Int[Array, ""]) -> Ways | None:
-        known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], given)
+        known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], wanted)
         return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
 
-    rows = jnp.minimum(rows, len(given[2]) - 1)
+    rows = jnp.minimum(rows, len(wanted.q) - 1)
     if len(rows) == 1:  # as of one world: what a batch computes in vain is not computed
         return jax.tree.map(lambda leaf: leaf[None], of(rows[0]))
     return jax.vmap(of)(rows)

@@ -23,7 +23,7 @@ from mjx_grasp.evaluation.grasps.circumstances import (
     push_wrench,
 )
 from mjx_grasp.evaluation.grasps.hits import hits
-from mjx_grasp.evaluation.grasps.plans import planned, planned_in_parts, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
@@ -181,8 +181,8 @@ def grasp_all(
     first = jax.random.fold_in(noise, 0)
     tracked = track(start_track(*_pose(truth), dt), *_pose(truth), first, given.faults)
     seen = _seen(tracked, truth, given)
-    before, everyone = Tried.nothing(worlds), np.arange(worlds)
-    plans = planned(grasper, library, known, seen, measured.q, before, key, everyone)
+    wanted = Wanted(known, seen, measured.q, Tried.nothing(worlds))
+    plans = planned(grasper, library, wanted, key, np.arange(worlds))
     grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
         physics=physics.init(jnp.asarray(qpos), ctrl),
@@ -215,8 +215,9 @@ def grasp_all(
             assert library is not None  # plans are due of none without a planner
             key = jax.random.fold_in(key, number)
             now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
-            state, tried, q = carry.grasp, carry.grasp.tried, carry.measured.q
-            for rows, ways in planned_in_parts(grasper, library, known, now, q, tried, key, due):
+            state = carry.grasp
+            wanted = Wanted(known, now, carry.measured.q, state.tried)
+            for rows, ways in planned_in_parts(grasper, library, wanted, key, due):
                 state = with_plans(grasper, state, ways, rows)
             carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1

@@ -152,7 +152,7 @@ PARTS = (
         "success, forces and failure classes on the eight objects, policy and squeeze",
         (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
-            "--force-budgets 1.5 2.5 3 3.5 4 6 8 --squeeze-forces 1 2 3 4 5 7 10 "
+            "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --squeeze-forces 1 2 3 4 5 7 10 "
             "--grip-frictions 0.4 0.5 --episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
@@ -220,7 +220,14 @@ PARTS = (
     Part(
         "ablation",
         "whole grasps without one part of the method each",
-        ("experiments/pipeline_ablation.py --objects-dir SCANS --processes SHARERS",),
+        (
+            "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 16 "
+            "--processes SHARERS",
+            "experiments/pipeline_ablation.py --objects-dir SCANS --objects bowl toy_airplane "
+            "pitcher_base mug cracker_box --variants full sideways walls-alike --scenarios nominal "
+            "--episodes 24 --processes SHARERS "
+            "--out experiments/results/pipeline_ablation_walls.json",
+        ),
     ),
     Part(
         "paper-policy",

@@ -1,5 +1,6 @@
 """Shared fixtures, and run-time checks of the shapes that signatures promise."""
 
+import itertools
 import os
 import sys
 from importlib.metadata import version
@@ -31,6 +32,29 @@ install_import_hook(CHECKED, TYPECHECKER)
 
 hypothesis.settings.register_profile("mjx_grasp", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("mjx_grasp")
+
+
+def share_contexts(programs=200):
+    """Programs share an MLIR context: to make one takes longer than to lower a small program.
+
+    Nothing is changed where JAX makes them elsewhere.
+    """
+    from jax._src.interpreters import mlir
+
+    make = getattr(mlir, "make_ir_context", None)
+    if make is None:
+        return
+    number, latest = itertools.count(), []
+
+    def shared():
+        if next(number) % programs == 0:  # anew now and then: it keeps the constants of them all
+            latest[:] = [make()]
+        return latest[0]
+
+    mlir.make_ir_context = shared
+
+
+share_contexts()
 
 SUBSTEPS = 5
 

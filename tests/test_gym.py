@@ -87,6 +87,7 @@ class Alone(gymnasium.Env):
         self.reset, self.step = self.env.reset, self.env.step
 
 
+@pytest.mark.long
 def test_worlds_together_are_worlds_alone_in_gymnasiums_own_vector(task, env, single):
     """Observations, rewards, ends and infos, over resets."""
     alone = SyncVectorEnv(
@@ -250,6 +251,7 @@ def test_settings_that_cannot_work_are_refused():
         closing_vector_env(2, config)
 
 
+@pytest.mark.long
 def test_it_is_registered_by_its_name():
     env = gymnasium.make_vec("mjx_grasp.gym:mjx_grasp/Closing-v0", num_envs=3)
     assert isinstance(env.unwrapped, TaskVectorEnv) and env.num_envs == 3

@@ -216,7 +216,16 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize("use", FILES)
+OF_EACH_KIND = (
+    *("train --handoffs", "evaluate --policy", "export --robot"),
+    *("heatmaps obj", "view npz"),
+)
+"""What other commands read is read by the same functions."""
+
+
+@pytest.mark.parametrize(
+    "use", [pytest.param(u, marks=[pytest.mark.long] * (u not in OF_EACH_KIND)) for u in FILES]
+)
 def test_damaged_files_are_refused_by_name(use, damage, refused):
     if use.startswith("view"):
         pytest.importorskip("viser")

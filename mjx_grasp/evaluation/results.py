@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -279,8 +280,12 @@ def row_from_record(path: str | Path, index: int, values: Any, kind: type[Row]) 
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     try:
         if "robot_errors" in values:
-            errors = from_record(RobotErrors, values["robot_errors"], "robot_errors")
-            values["robot_errors"] = errors
+            values["robot_errors"] = _robot_errors(json.dumps(values["robot_errors"]))
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:
         raise FileError(path, f"{where}: {error}", "a row that agrees with itself") from None
+
+
+@lru_cache(maxsize=64)  # thousands of rows have the same
+def _robot_errors(record: str) -> RobotErrors:
+    return from_record(RobotErrors, json.loads(record), "robot_errors")

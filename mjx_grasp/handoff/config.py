@@ -44,7 +44,8 @@ class SamplingConfig(Settings):
     candidates_per_pose: Count = 3
     """heatmap candidates tried on each [-]"""
     min_score: Share = 0.05
-    """candidates below this are not used, as in the selection [-]"""
+    """candidates below this are not used, as in the selection; for reached states, as in whole
+    grasps, where no other can be [-]"""
     temperature: Positive = 0.2
     """candidates are drawn with weight exp(score/temperature) [-]"""
     min_distance: NonNegative = 0.008

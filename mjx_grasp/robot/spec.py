@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -201,26 +202,30 @@ def load_robot(name: str | Path = "rizon4_hx5d20") -> RobotSpec:
 
 def _read(path: Path) -> RobotSpec:
     try:
-        content = yaml.safe_load(path.read_text())
+        described, known = _described(path.read_text())
+    except InputError as error:
+        field = error.field.removeprefix(_WHOLE).removeprefix(".") or "content"
+        raise InputError(f"{path}: {field}", error.found, error.expected) from None
     except OSError as error:
         raise FileError(path, error.strerror or "no file", "a robot description") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         found = " ".join(str(error).split())
         raise FileError(path, f"no valid YAML ({found})", "a robot description") from error
-    try:
-        described = from_record(_Description, content, _WHOLE)
-        _check_parts(described.arm, described.hand)
-    except InputError as error:
-        field = error.field.removeprefix(_WHOLE).removeprefix(".") or "content"
-        raise InputError(f"{path}: {field}", error.found, error.expected) from None
     mjcf = path.parent / described.mjcf
     if not mjcf.is_file():
         raise FileError(mjcf, "no such file", f"the MJCF that {path} names")
     # Neither comments nor how a checkout ends its lines make another robot.
-    known = json.dumps(content, sort_keys=True).encode()
-    known += mjcf.read_bytes().replace(b"\r\n", b"\n")
-    digest = hashlib.sha256(known).hexdigest()
+    digest = hashlib.sha256(known + mjcf.read_bytes().replace(b"\r\n", b"\n")).hexdigest()
     return RobotSpec(described.name, described.arm, described.hand, mjcf, digest)
+
+
+@lru_cache(maxsize=8)  # a command asks several times, and to read YAML takes long
+def _described(text: str) -> tuple[_Description, bytes]:
+    """A description, checked in itself, and all that it says."""
+    content = yaml.safe_load(text)
+    described = from_record(_Description, content, _WHOLE)
+    _check_parts(described.arm, described.hand)
+    return described, json.dumps(content, sort_keys=True).encode()
 
 
 def _check_parts(arm: ArmSpec, hand: HandSpec) -> None:

@@ -40,6 +40,7 @@ def said(scene, starts, monkeypatch):
     return run
 
 
+@pytest.mark.long
 def test_buffers_that_are_too_small_are_counted_and_warned_of(said):
     trials, text = said(constraints_per_world=8)
     assert trials.overflow_ticks.shape == (3,) and (trials.overflow_ticks > 0).all()

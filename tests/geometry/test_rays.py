@@ -55,7 +55,12 @@ def test_farthest_hit_agrees_with_embree_on_bumpy_meshes(seed):
     check_against_embree(bumpy(seed), 0.998)
 
 
-@pytest.mark.parametrize("name", ["sugar_box", "tomato_soup_can", "mug", "apple"])
+OTHERS = ("sugar_box", "tomato_soup_can", "apple")
+
+
+@pytest.mark.parametrize(
+    "name", ["mug", *(pytest.param(name, marks=pytest.mark.long) for name in OTHERS)]
+)
 def test_farthest_hit_agrees_with_embree_on_stand_ins(name):
     check_against_embree(stand_in(name, 1.0), 0.99)
 

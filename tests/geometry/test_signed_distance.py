@@ -136,7 +136,7 @@ def _compared(mesh, count, near=0.01):
     return np.abs(found - np.where(inside, -exact, exact)), wrong.mean(), field
 
 
-@pytest.mark.parametrize("name", ["tomato_soup_can", "mug"])
+@pytest.mark.parametrize("name", [pytest.param("tomato_soup_can", marks=pytest.mark.long), "mug"])
 def test_field_of_a_stand_in(name):
     mesh = stand_in(name)
     error, wrong, field = _compared(mesh, count=400)

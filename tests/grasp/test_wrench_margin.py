@@ -95,6 +95,7 @@ def test_along_the_normals_two_fingers_carry_a_load_or_one_does(load, expected):
     )
 
 
+@pytest.mark.long
 def test_a_lever_costs_force_and_torsion_spares_some():
     contact, inward = pair()
     load, point = np.float32([0, 0, -5]), np.float32([0, 0.04, 0])

@@ -137,6 +137,12 @@ def test_every_reach_is_accounted_for(generated):
 
 
 @pytest.mark.long
+def test_an_object_whose_contacts_score_little_has_states_as_it_has_whole_grasps(generator):
+    handoffs, report = generator.generate(load_object("mini_soccer_ball"))
+    assert report.eligible_candidates == 0 and len(handoffs) == report.kept == WANTED
+
+
+@pytest.mark.long
 def test_the_seed_decides_everything(generator, generated, brick):
     first, _ = generated
     again, _ = generator.generate(brick)

@@ -25,12 +25,12 @@ def heatmap_of_mesh(mesh, backend="auto"):
 @pytest.mark.parametrize(
     ("name", "share"),
     [
-        ("sugar_box", 0.999),
+        pytest.param("sugar_box", 0.999, marks=pytest.mark.long),
         ("tomato_soup_can", 0.999),
         ("apple", 0.999),
-        ("pitcher_base", 0.999),
+        pytest.param("pitcher_base", 0.999, marks=pytest.mark.long),
         ("mug", 0.999),
-        ("large_clamp", 0.999),
+        pytest.param("large_clamp", 0.999, marks=pytest.mark.long),
         # Its wall is of one thickness: seeds are as near to the inside as to the outside.
         ("wine_glass", 0.99),
     ],

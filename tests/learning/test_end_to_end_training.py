@@ -99,6 +99,7 @@ def stored(env, run, robot, tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_its_policy_is_evaluated_in_its_own_task_and_closes_for_no_other(stored, robot):
     policy = load_controller(stored, robot)
     assert policy_task(policy) == SHORT and policy.observation_size == 84

@@ -158,6 +158,7 @@ def test_the_critic_moves_no_further_in_an_iteration_than_its_bound(env, trained
     assert moved(value_clip=0.05) < 0.5 * moved()
 
 
+@pytest.mark.long
 def test_the_last_iterations_keep_one_rate(env, trained):
     """What the divergence says of the rate counts until then."""
     (first, *_), _ = trained
@@ -169,6 +170,7 @@ def test_the_last_iterations_keep_one_rate(env, trained):
     assert rates[1] > rates[0] > 2e-3 and rates[2] == np.float32(1e-3)
 
 
+@pytest.mark.long
 def test_the_critic_may_learn_alone_at_first(env, trained):
     """The actor and the rate stay; afterwards both learn."""
     state, config = trained[0][0], tiny.ppo(2, learning_rate=1e-4, critic_first=0.5)

@@ -72,6 +72,7 @@ def test_all_else_is_that_of_a_training_that_begins(env, begun):
     np.testing.assert_array_equal(*widths)
 
 
+@pytest.mark.long
 def test_the_actors_observations_keep_their_scale_and_the_critics_get_one(env, policy, begun):
     statistics = begun.normalizer
     assert int(statistics.count.to_numpy()) == STEPS

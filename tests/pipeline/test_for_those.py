@@ -1,5 +1,7 @@
 """Of many worlds, those that need something."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,21 +28,26 @@ needs = st.sampled_from((1, 7, 16, 40)).flatmap(
 )
 
 
+def square(row):
+    return {"a": row**2, "b": jnp.stack([row, row + 1.0])}
+
+
+@cache
+def jitted(backend, cheap):
+    """Compiled once for each size."""
+    return jax.jit(lambda need, rows, had: for_those(need, square, rows, had, cheap))
+
+
 @pytest.mark.parametrize("cheap", [False, True])
 @given(needs)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_those_that_need_it_get_it_and_the_others_keep_theirs(backend, cheap, need):
-    need = np.array(need)
-    had = {"a": -jnp.arange(len(need)), "b": jnp.zeros((len(need), 2))}
-    rows = jnp.arange(len(need))
-
-    def compute(row):
-        return {"a": row**2, "b": jnp.stack([row, row + 1.0])}
-
-    everyone = jax.vmap(compute)(rows)
-    found = for_those(jnp.asarray(need), compute, rows, had, cheap)
-    np.testing.assert_array_equal(found["a"], np.where(need, everyone["a"], had["a"]))
-    np.testing.assert_array_equal(found["b"], np.where(need[:, None], everyone["b"], had["b"]))
+    need, rows = np.array(need), np.arange(len(need))
+    had = {"a": -rows, "b": np.zeros((len(need), 2), np.float32)}
+    found = jitted(backend, cheap)(need, rows, had)
+    everyone = np.stack([rows, rows + 1.0], axis=1)
+    np.testing.assert_array_equal(found["a"], np.where(need, rows**2, -rows))
+    np.testing.assert_array_equal(found["b"], np.where(need[:, None], everyone, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,7 @@ def test_an_object_that_moves_away_is_reached_for_again(grasper, tick, closing, 
     np.testing.assert_allclose(again.reach.clock, grasper.dt, atol=1e-6)
 
 
+@pytest.mark.long
 def test_an_object_at_rest_whose_pose_is_noisy_rests(make, home, known):
     grasper, draw = make(gate=NEVER), np.random.default_rng(0)
     noise = 0.005 * draw.normal(size=(120, 3))

@@ -177,6 +177,7 @@ def test_rows_are_derivatives_of_the_errors(body, reachable, clearances):
     assert np.mean(error[6 * FINGERS :] < 2e-3) > 0.95
 
 
+@pytest.mark.long
 def test_what_is_held_is_held_at_the_reference(body, reachable):
     tips, pads, q = reachable
     free = IkConfig(iterations=5, idle_weight=0.0)

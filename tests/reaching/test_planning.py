@@ -199,6 +199,7 @@ def test_a_guide_leads_straight_up_where_the_way_out_is_blocked(planned):
         assert shift(way_out, around) @ sideways > 0.9
 
 
+@pytest.mark.long
 def test_what_is_in_the_way_and_a_detour_cost_time(planned):
     reacher, plan, poses, found, _ = planned
     planner = Planner(reacher, replace(plan, way_samples=4))

@@ -48,9 +48,8 @@ def exact_solutions(problems):
 
 @pytest.fixture(scope="module", params=[16, pytest.param(64, marks=pytest.mark.long)])
 def drawn(request, reacher):
-    """16 problems of each of so many reaches, their warm starts, and exact solutions."""
-    problems, warm = draw_problems(reacher, draw_poses(request.param, seed=11), count=16)
-    return problems, warm, exact_solutions(problems)
+    """16 problems of each of so many reaches, and their warm starts."""
+    return draw_problems(reacher, draw_poses(request.param, seed=11), count=16)
 
 
 def test_unconstrained_minimum_is_exact():
@@ -73,7 +72,8 @@ def test_many_iterations_reach_the_exact_solution(seed):
 
 @pytest.mark.long
 def test_real_problems_against_the_oracle(drawn):
-    problems, warm, exact = drawn
+    problems, warm = drawn
+    exact = exact_solutions(problems)
     finite = np.isfinite(exact).all(axis=1)
     assert finite.mean() > 0.95
     exact = np.where(finite[:, None], exact, 0.0)
@@ -95,13 +95,13 @@ def test_real_problems_against_the_oracle(drawn):
 
 
 def test_box_holds_exactly(drawn):
-    problems, warm, _ = drawn
+    problems, warm = drawn
     found = jax.vmap(lambda p, w: solve_qp(p, w, SolverConfig()))(problems, warm)
     assert np.all(found.x >= problems.lower) and np.all(found.x <= problems.upper)
 
 
 def test_batched_is_looped_and_jit_is_eager(drawn):
-    problems, warm, _ = drawn
+    problems, warm = drawn
     config = SolverConfig()
     some = np.arange(0, len(problems.q), 75)[:4]
     few = jax.tree.map(lambda leaf: leaf[some], (problems, warm))

@@ -181,7 +181,11 @@ def test_a_buffer_that_was_full_in_any_physics_step_is_reported(scene, starts, r
     assert truth.overflow.all()
 
 
-@pytest.mark.parametrize(("world", "touched"), [(0, True), (2, False)], ids=["box", "dumbbell"])
+@pytest.mark.parametrize(
+    ("world", "touched"),
+    [(0, True), pytest.param(2, False, marks=pytest.mark.long)],
+    ids=["box", "dumbbell"],
+)
 def test_union_world_follows_the_single_object_scene(scene, starts, robot, runs, world, touched):
     """The box is squeezed and the dumbbell lands on the table, among three objects and alone.
 

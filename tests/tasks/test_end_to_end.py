@@ -240,6 +240,7 @@ def test_the_policy_sees_the_contacts_in_the_palms_frame(scene, starts):
                 np.testing.assert_allclose(found[t, w, step, 33:], expected, atol=1e-5)
 
 
+@pytest.mark.long
 def test_before_the_lift_actions_move_their_own_joints_alone(scene, starts):
     """Nothing guides and nothing grips, for as long as nothing lifts."""
     rows, ticks = [0] * 16, 5
@@ -330,6 +331,7 @@ def test_the_lift_waits_for_the_time_for_reaching(scene, starts):
     np.testing.assert_array_equal(states.closer.lifting[:, 0], np.arange(40) >= 29)
 
 
+@pytest.mark.long
 def test_coming_nearer_pays_where_it_has_a_weight(scene, starts):
     script = still(starts, [0], 4)
     away = np.linspace(0.03, 0.0, 4)
@@ -350,6 +352,7 @@ def test_coming_nearer_pays_where_it_has_a_weight(scene, starts):
     np.testing.assert_allclose(out.rewards["way_left"][:, 0], expected, atol=1e-5)
 
 
+@pytest.mark.long
 def test_an_object_that_falls_out_of_reach_costs_no_more_than_the_way_there(scene, starts):
     script = still(starts, [0], 6)
     script.truth.object_pos[:, 0, 2] -= np.array([0.5, 2.0, 5.0, 9.0, 20.0, 0.0])

@@ -98,6 +98,7 @@ def test_the_other_joints_stop_at_their_limits(scene, starts):
     np.testing.assert_allclose(commanded(task, states)[-1, 0, fingers], limits[:, 1], atol=1e-6)
 
 
+@pytest.mark.long
 def test_the_layout_names_what_the_others_read_and_answer(scene, starts):
     robot = scene.robot
     config = replace(CONFIG, action=OTHERS, observation=ObservationConfig(others=True))

@@ -117,6 +117,7 @@ def test_a_push_moves_the_object_and_the_next_grasp_begins_where_it_came_to_lie(
     )
 
 
+@pytest.mark.long
 def test_what_is_in_the_air_is_put_back(live, known):
     live.put(0, IN_THE_AIR, UPRIGHT)
     live.start(known[0])

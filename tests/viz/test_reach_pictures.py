@@ -73,6 +73,7 @@ def _cell(sheet, row, column):
     return cell[:CAPTION], cell[CAPTION:].astype(int)
 
 
+@pytest.mark.long
 def test_a_row_per_class_and_its_reaches_side_by_side(tmp_path):
     # Three that converged, of which two are shown; one and two of two classes; none of others.
     present = [0, len(FAILURES) - 1]

@@ -130,6 +130,7 @@ def test_the_report_says_which_squeeze_is_the_untrained_policy(run):
         assert ("squeeze 3 N is the policy before its training" in text) == said
 
 
+@pytest.mark.long
 def test_without_a_video_the_report_says_how_to_get_one(run):
     page = written(run, problem="no renderer <here>: apt-get install libegl1")
     assert "No video. no renderer <here>: apt-get install libegl1" in page.text

@@ -183,6 +183,7 @@ def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):
     wait(lambda: viewer.settings.anchor is not None)
 
 
+@pytest.mark.long
 def test_the_command_serves_and_ends(stored, tmp_path):
     need_viser()
     path = tmp_path / "box.npz"

@@ -68,6 +68,8 @@ class System(Settings):
     """with the policy that of its training"""
     policy: bool = True
     """whether a policy closes on top of it"""
+    budget: float | None = None
+    """mean force per finger that the policy may take; None: that of the command [N]"""
     reaching: ReachPreset = field(default_factory=whole_grasps)
     grasper: GrasperConfig = field(default_factory=GrasperConfig)
 
@@ -100,6 +102,7 @@ VARIANTS = {
         "the grip that answers to load closes, no policy",
         {"closing": CloserConfig(grip=REACTING), "policy": False},
     ),
+    "budget-3": Variant("the policy has a budget of 3 N", {"budget": 3.0}),
     "squeeze-3": _squeeze(3.0),
     "squeeze-5": _squeeze(5.0),
     "paper-reaching": Variant(
@@ -204,12 +207,13 @@ def system_of(variant: Variant, closing: CloserConfig) -> System:
 
 def maker(system: System, policy: LearnedPolicy) -> MakeGrasper:
     """What makes the controller of a system."""
+    given = policy if system.budget is None else replace(policy, budget=system.budget)
 
     def make(robot: RobotSpec, approach: Approach) -> Grasper:
         reaching = system.reaching
         if reaching.plan is not None:
             reaching = changed(reaching, "plan.approach", approach)
-        learned = policy if system.policy else None
+        learned = given if system.policy else None
         return grasper_of(robot, system.closing, learned, reaching, system.grasper)
 
     return make

@@ -15,7 +15,7 @@ import handmade
 import numpy as np
 import pytest
 from rich.console import Console
-from typed import refusal
+from typed import refusal, typed
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
@@ -206,14 +206,14 @@ def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):
 
 
 def test_a_run_is_never_overwritten(trained):
-    done = command("train", "--preset", "cpu", *TINY, "--out", trained)
+    done = typed("train", "--preset", "cpu", *TINY, "--out", trained)
     assert done.returncode == 2
     assert "a run that is already there" in done.stderr
 
 
 def test_evaluate_writes_rows_of_the_stated_condition(tmp_path):
     out = tmp_path / "squeeze.json"
-    done = command(
+    done = typed(
         *("evaluate", "--controller", "squeeze", "--squeeze-force", "4", "--objects"),
         *("foam_brick", "--episodes", "3", "--handoffs", STATES),
         *("--states", "all", "--offset-mm", "2", "--angle-deg", "3", "--friction", "0.6"),

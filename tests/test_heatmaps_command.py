@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from typed import refusal
+from typed import refusal, typed
 
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import load_heatmap
@@ -19,11 +19,8 @@ from mjx_grasp.objects.catalogue import load_catalogue
 COARSE = ("--edge", "0.04")
 
 
-def heatmaps(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "mjx_grasp.heatmaps", *map(str, arguments)],
-        capture_output=True, text=True, timeout=300, check=False, **options,
-    )  # fmt: skip
+def heatmaps(*arguments):
+    return typed("heatmaps", *arguments)
 
 
 def slab():
@@ -233,7 +230,10 @@ def test_mistakes_are_refused_before_anything_is_written(
 
 
 def test_a_refusal_is_one_line_in_the_shell(tmp_path):
-    run = heatmaps(tmp_path / "none.obj", cwd=tmp_path)
+    run = subprocess.run(
+        [sys.executable, "-m", "mjx_grasp.heatmaps", "none.obj"],
+        capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path,
+    )  # fmt: skip
     assert run.returncode == 2
     assert run.stderr.startswith("error: ") and run.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from typed import refusal
+from typed import refusal, typed
 
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.handoff.dataset import load_handoffs
@@ -111,7 +111,7 @@ def test_what_cannot_be_an_object_is_refused(meshes, monkeypatch, capsys, comman
 
 
 def test_instructions_know_the_parts_beside_a_mesh(meshes, monkeypatch, capsys):
-    done = command("heatmaps", "jug.obj", "--out", "o", "--edge", "0.04", "--instruction", "spout")
+    done = typed("heatmaps", "jug.obj", "--out", "o", "--edge", "0.04", "--instruction", "spout")
     assert done.returncode == 0, done.stderr
     shown = json.loads((meshes / "o" / "jug.triples.json").read_text())
     assert shown["anchor"] == pytest.approx([-0.045, 0.0, 0.11])

@@ -78,6 +78,7 @@ def test_each_variant_leaves_out_what_it_says_and_no_other_does_the_same(ablatio
     assert len(set(found.values())) == len(found)
     assert found["paper-reaching"][0].reaching.plan is None
     assert found["squeeze-5"][0].closing.grip.force == 5.0
+    assert found["budget-3"][0].budget == 3.0
     assert not found["observer-alone"][1].told and not found["weight-unknown"][1].weighed
 
 
@@ -86,7 +87,11 @@ def test_every_variant_has_a_controller_that_comes_from_where_it_is_told(ablatio
     for name, variant in ablation.VARIANTS.items():
         system = ablation.system_of(variant, CloserConfig())
         grasper = ablation.maker(system, learned)(robot, "side")
-        assert (grasper.policy is learned) == system.policy
+        given = learned if system.budget is None else replace(learned, budget=system.budget)
+        if system.policy:
+            assert vars(grasper.policy) == vars(given)
+        else:
+            assert grasper.policy is None
         assert grasper.config == system.grasper
         most = max(system.closing.grip.most, system.grasper.most)
         grip = replace(system.closing.grip, most=most)
@@ -119,7 +124,8 @@ def quick(ablation, tmp_path, monkeypatch):
         return [row(), row("slipped")]
 
     monkeypatch.setattr(Makers, "run", counted)
-    monkeypatch.setattr(ablation, "loaded_policy", lambda *_: (CloserConfig(), None))
+    policy = LearnedPolicy(lambda observation: observation, ObservationConfig())
+    monkeypatch.setattr(ablation, "loaded_policy", lambda *_: (CloserConfig(), policy))
     monkeypatch.setattr(ablation, "provenance", lambda seed: made)
     config = ablation.PipelineAblationConfig(
         out=tmp_path / "ablation.json",

@@ -1,6 +1,7 @@
 """Convex pieces: limits, corners, coverage, and the outward error against trimesh."""
 
 import hashlib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,14 +13,19 @@ from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.parametric import stand_in
 
 FEW = ConvexConfig(samples=800, divisions=(Division(),))
-NAMES = ("foam_brick", "tomato_soup_can", "mug")
+NAMES = ("foam_brick", "tomato_soup_can", pytest.param("mug", marks=pytest.mark.long))
 
 
 @pytest.fixture(scope="module")
 def divided():
-    """Mesh, pieces and outward error by name."""
-    meshes = {name: stand_in(name) for name in NAMES}
-    return {name: (mesh, *convex_pieces(mesh, FEW)) for name, mesh in meshes.items()}
+    """Mesh, pieces and outward error by name, made once."""
+
+    @cache
+    def made(name):
+        mesh = stand_in(name)
+        return mesh, *convex_pieces(mesh, FEW)
+
+    return made
 
 
 def distance(piece, points):
@@ -113,13 +119,14 @@ def test_an_ellipsoid_and_half_a_ball_are_no_spheres():
 
 def test_a_convex_body_is_one_hull(divided):
     for name in ("foam_brick", "tomato_soup_can"):
-        _, pieces, error = divided[name]
+        _, pieces, error = divided(name)
         assert len(pieces) == 1 and pieces[0].kind == "hull"
         assert error < 0.0001  # a hull of the mesh's own points lies inside a convex mesh
 
 
+@pytest.mark.long
 def test_a_mug_is_several_pieces_and_stays_open(divided):
-    mesh, pieces, _ = divided["mug"]
+    mesh, pieces, _ = divided("mug")
     assert 1 < len(pieces) <= 12
     opening = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))[None] / 2
     # The cup's axis: the middle of the bottom's points, for the handle moves the box's middle.
@@ -199,7 +206,7 @@ def test_what_stands_out_too_far_is_divided_more_finely():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pieces_keep_the_limits_and_are_solid(divided, name):
-    _, pieces, _ = divided[name]
+    _, pieces, _ = divided(name)
     assert len(pieces) <= 12
     for piece in pieces:
         assert 4 <= len(piece.vertices) <= 64
@@ -211,7 +218,7 @@ def test_pieces_keep_the_limits_and_are_solid(divided, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pieces_cover_the_surface(divided, name):
-    mesh, pieces, _ = divided[name]
+    mesh, pieces, _ = divided(name)
     points, _ = trimesh.sample.sample_surface(mesh, 1000, seed=0)
     away = np.min([distance(piece, points) for piece in pieces], axis=0)
     assert (away < 0.006).mean() >= 0.98
@@ -219,7 +226,7 @@ def test_pieces_cover_the_surface(divided, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_outward_error_agrees_with_trimesh(divided, name):
-    mesh, pieces, error = divided[name]
+    mesh, pieces, error = divided(name)
     share = [piece.surface().area for piece in pieces]
     points = []
     for k, piece in enumerate(pieces):
@@ -262,9 +269,10 @@ def test_pieces_stay_what_they_are(name, error, digest):
     assert content.hexdigest()[:12] == digest
 
 
+@pytest.mark.long
 def test_a_looser_bound_takes_one_hull(divided):
-    pieces, error = convex_pieces(divided["mug"][0], ConvexConfig(samples=300, single_hull_error=1))
-    assert len(pieces) == 1 and error > divided["mug"][2]
+    pieces, error = convex_pieces(divided("mug")[0], ConvexConfig(samples=300, single_hull_error=1))
+    assert len(pieces) == 1 and error > divided("mug")[2]
 
 
 def test_contains_grows_with_the_tolerance():

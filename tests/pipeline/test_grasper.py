@@ -392,6 +392,7 @@ def test_turning_the_world_about_the_first_joint_changes_nothing(grasper, tick, 
     close(*commands, atol=1e-4)
 
 
+@pytest.mark.long
 def test_closing_is_that_of_the_task_in_which_policies_are_trained(
     make, known, starts, scene, robot
 ):

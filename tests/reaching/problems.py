@@ -50,9 +50,15 @@ def draw_problems(
             q = q + reacher.config.controller.dt * done.velocity
             return (after, q), (built.problem, state.memory.warm)
 
-        def stretch(carry, _):
-            carry, _ = jax.lax.scan(tick, carry, length=stride - 1)
-            return tick(carry, None)
+        shapes = jax.eval_shape(tick, (state, q), None)[1]
+        none = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+        def stretch(moving, _):
+            # The tick stands here once, as it is compiled as often as it does.
+            after = jax.lax.scan(
+                lambda carry, _: (tick(carry[0], None), None), (moving, none), length=stride
+            )
+            return after[0]
 
         return jax.lax.scan(stretch, (state, q), length=count)[1]
 

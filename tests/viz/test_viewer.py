@@ -77,6 +77,7 @@ def yellow_height(picture):
     return rows.mean()
 
 
+@pytest.mark.long
 def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_factory):
     before, text = shot(page), page.inner_text("body")
     anchor = np.array(viewer.settings.anchor)
@@ -112,6 +113,7 @@ def test_the_width_of_a_named_part_holds_for_that_part_alone(viewer, page):
     assert viewer.settings.sigma is None
 
 
+@pytest.mark.long
 def test_the_panel_changes_sigma_triples_and_place(viewer, page):
     field = control(page, "go to")
     field.fill("the bottom")
@@ -172,6 +174,7 @@ def test_the_slider_reaches_the_width_of_a_large_part(stored):
         assert viewer.settings.sigma is None
 
 
+@pytest.mark.long
 def test_without_the_anchor_it_is_the_default_heatmap(viewer, page, stored):
     box = control(page, "anchor")
     box.uncheck()

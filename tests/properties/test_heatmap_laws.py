@@ -19,6 +19,7 @@ from mjx_grasp.heatmap.steering import steer, steer_many, weigh
 SPAN, FRICTION = (0.02, 0.09), 0.5
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=8)
+BACKENDS = ["bvh", pytest.param("brute", marks=pytest.mark.long)]
 
 
 def heatmap_of_mesh(mesh, config=None, span=SPAN, com=None):
@@ -83,7 +84,7 @@ def test_scaling_mesh_and_lengths_together_scales_the_triples(k, which):
     assert np.mean(np.abs(scaled.width - k * still.width) < 1e-5 * k) >= 0.995
 
 
-@pytest.mark.parametrize("backend", ["bvh", "brute"])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_the_same_mesh_gives_the_same_bits(backend):
     config = HeatmapConfig(backend=backend)
     first, again = heatmap_of_mesh(lump(0), config), heatmap_of_mesh(lump(0), config)
@@ -179,7 +180,7 @@ def broken_meshes(draw):
     return v, f
 
 
-@pytest.mark.parametrize("backend", ["bvh", "brute"])
+@pytest.mark.parametrize("backend", BACKENDS)
 @settings(max_examples=15)
 @given(mesh=broken_meshes())
 def test_nothing_is_ever_nan_and_scores_stay_within_0_and_1(backend, mesh):

@@ -26,6 +26,7 @@ def axes(body, q):
     return np.asarray(mat @ body.approach_axis)
 
 
+@pytest.mark.long
 def test_deviations_are_angles_of_the_palms_axis(body, library):
     q = library.q[:50]
     axis = axes(body, q)

@@ -165,7 +165,10 @@ def test_terms_sum_to_what_a_learner_is_paid(task, played):
             assert state.done[-1] and not terms[-1].any()
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize(
+    "name",
+    ["lift", *(pytest.param(n, marks=pytest.mark.long) for n in PUBLISHED if n != "lift")],
+)
 def test_a_weight_scales_its_own_term_and_no_other(scene, starts, played, name):
     weight = getattr(CONFIG.reward, name)
     heavier = replace(CONFIG, reward=replace(CONFIG.reward, **{name: -2.5 * weight}))

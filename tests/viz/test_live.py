@@ -128,6 +128,7 @@ def test_what_is_in_the_air_is_put_back(live, known):
     np.testing.assert_allclose(live.object_pose[0], IN_THE_AIR, atol=1e-6)
 
 
+@pytest.mark.long
 def test_one_compiled_tick_serves_all_objects(live, known):
     live.put(0, HERE, UPRIGHT)
     live.start(known[0])

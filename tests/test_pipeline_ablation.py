@@ -83,7 +83,7 @@ def test_each_variant_leaves_out_what_it_says_and_no_other_does_the_same(ablatio
 
 
 def test_every_variant_has_a_controller_that_comes_from_where_it_is_told(ablation, robot):
-    learned = LearnedPolicy(lambda observation: observation, ObservationConfig())
+    learned = LearnedPolicy(lambda observation: observation, ObservationConfig(), budget=8.0)
     for name, variant in ablation.VARIANTS.items():
         system = ablation.system_of(variant, CloserConfig())
         grasper = ablation.maker(system, learned)(robot, "side")

@@ -16,6 +16,7 @@ from mjx_grasp.evaluation.results import (
 )
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
+from mjx_grasp.tasks.config import RobotErrors
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "d", "seed": 0}
 
@@ -34,7 +35,12 @@ def row(counts=(6, 2, 1, 1), **changes):
 @given(st.lists(st.integers(0, 40), min_size=4, max_size=4).filter(sum))
 def test_rows_survive_the_file(tmp_path_factory, counts):
     path = tmp_path_factory.mktemp("r") / "results.json"
-    rows = (row(counts), row(counts, object="pear", force_mean_n=None, squeeze_force_n=3.0))
+    noisy = RobotErrors(stiffness=(0.7, 1.3), torque_std=0.02)
+    rows = (
+        row(counts),
+        row(counts, object="pear", force_mean_n=None, squeeze_force_n=3.0),
+        row(counts, robot_errors=noisy),
+    )
     write_results(path, rows, PROVENANCE, FIRST_ROBOT, label="mine")
     found = read_results(path)
     assert found.rows == rows

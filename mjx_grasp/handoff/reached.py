@@ -117,7 +117,6 @@ class ReachedGenerator:
         self._reacher = Reacher(robot_body(moves), settings.reach, settings.selection)
         self._planner = Planner(self._reacher, settings.plan)
         self._library = start_library(self._reacher.body, settings.plan)
-        self._least = min((config.sampling.min_score, *settings.plan.lesser_scores))
         self._worlds = min(WORLDS, config.sampling.poses_per_round)
 
     def generate(
@@ -139,8 +138,7 @@ class ReachedGenerator:
         scores = known.candidates.score[known.candidates.valid]
         report.eligible_candidates = int(jnp.sum(scores >= config.sampling.min_score))
         rows: list[Row] = []
-        # Plans go on to lesser ones where none is good enough, as in whole grasps.
-        if jnp.any((scores > 0) & (scores >= self._least)):
+        if jnp.any(scores > 0):  # plans go on to lesser ones where none is good enough
             checker = CollisionChecker(build_scene([obj], self._robot))
             what = StillObject(known.shape, known.candidates, known.com, known.weight)
             task = _Task(obj, what, checker)

@@ -127,11 +127,17 @@ def means(paths: Sequence[Path]) -> str:
     )
 
 
-def all_conditions(paths: Sequence[Path]) -> str:
-    """Every condition: means, pairs, and the tables per object, folded away."""
+def all_conditions(paths: Sequence[Path], more: Sequence[Path] = ()) -> str:
+    """Every condition: means, pairs, and the tables per object, folded away.
+
+    Args:
+        paths: The results files.
+        more: Others with more settings of the baselines, which the pairs are to hold out against.
+    """
     groups = read_groups(paths)
     if not groups:
         return NOTHING
+    wider = with_more(groups, read_groups(more))
     parts = [EXPLANATION]
     parts += ["### Means over the objects", *_means_by_engine(groups)]
     for make, text in (
@@ -139,12 +145,22 @@ def all_conditions(paths: Sequence[Path]) -> str:
         (budget_table, WITHIN_BUDGET),
         (object_budget_table, BY_OBJECT),
     ):
-        if (table := make(groups)).rows:
+        if (table := make(wider)).rows:
             parts += [f"### {table.title}", text, markdown(table)]
     table = least_forces(sorted({name for group in groups for name in group.objects}))
     parts += [f"### {table.title}", ON_WALLS, markdown(table)]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
+
+
+def with_more(groups: Groups, more: Groups) -> Groups:
+    """Controllers by condition, and behind them those of the same condition that are new."""
+
+    def joined(condition: Condition, columns: Sequence[Column]) -> list[Column]:
+        there = {column.label for column in columns}
+        return [*columns, *(c for c in more.get(condition, ()) if c.label not in there)]
+
+    return {condition: joined(condition, columns) for condition, columns in groups.items()}
 
 
 def conditions(folder: Path) -> str:

@@ -70,7 +70,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         },
         root / "docs" / "reproduction.md": {"claims": paper_tables.claims(folder)},
         root / "experiments" / "README.md": {
-            "tables": closing_tables.all_conditions(results),
+            "tables": closing_tables.all_conditions(
+                results, sorted((folder / "squeezes").glob("*.json"))
+            ),
             "least-force": closing_tables.least_by_contacts(folder / "least_force.json"),
             "conditions": closing_tables.conditions(folder / "conditions"),
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),

@@ -155,6 +155,11 @@ PARTS = (
             "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --squeeze-forces 1 2 3 4 5 7 10 "
             "--grip-frictions 0.4 0.5 --episodes 128 "
             "--processes CORES --out experiments/results/eight_native.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --no-with-policy "
+            "--conditions nominal hard --squeeze-splits even balanced "
+            "--squeeze-forces 1 2 3 4 5 6 7 8 9 10 11 12 --episodes 128 "
+            "--known experiments/results/eight_native.json "
+            "--processes CORES --out experiments/results/squeezes/eight.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
             "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 8 "
             "--squeeze-forces 2 3 5 8 12 --grip-frictions 0.4 "

@@ -51,11 +51,12 @@ EXPLANATION = (
 )
 EQUAL_FORCE = (
     "Differences in percentage points, with 95 % bootstrap intervals over start states. A "
-    "baseline's results at several commanded forces, or frictions μ₀, are joined by straight lines "
-    "and read at the controller's own mean force. Below its lightest setting the line goes down to "
-    "no success at no force, and beyond its hardest it stays level: differences there are "
-    "extrapolated, not measured. *Most possible* is the share of trials in which the baseline "
-    "fails at this force: nobody can gain more on it. The peak is the largest force on a finger."
+    "baseline's results at several commanded forces, or frictions μ₀, are joined by straight "
+    "lines, without those that a lighter one beats, and read at the controller's own mean force. "
+    "Below its lightest setting the line goes down to no success at no force, and beyond its "
+    "hardest it stays level: differences there are extrapolated, not measured. *Most possible* is "
+    "the share of trials in which the baseline fails at this force: nobody can gain more on it. "
+    "The peak is the largest force on a finger."
 )
 WITHIN_BUDGET = (
     "The share of all trials that are lifted and whose mean force per finger stays within the "

@@ -135,16 +135,18 @@ def gain(trials: SameStarts, weights: Weights, first: int, second: int) -> Estim
 def gain_at_equal_force(trials: SameStarts, weights: Weights, others: Sequence[int]) -> Estimate:
     """By how much the first controller lifts more often than the others at its force [points].
 
-    The others, one controller at several forces, are joined by straight lines that begin with no
-    success at no force and stay level beyond the largest.
+    The others, one controller at several settings, are joined by straight lines that begin with no
+    success at no force and stay level beyond the largest. Those that a lighter one beats are left
+    out.
     """
     success, force = mean_success(trials, weights), mean_force(trials, weights)
     order = np.argsort(np.nan_to_num(force[:, others]), axis=1)
     x = np.take_along_axis(np.nan_to_num(force[:, others]), order, axis=1)
     y = np.take_along_axis(success[:, others], order, axis=1)
     x, y = (np.pad(values, ((0, 0), (1, 0))) for values in (x, y))
-    at = zip(np.nan_to_num(force[:, 0]), x, y, strict=True)
-    return _estimate(success[:, 0] - np.array([np.interp(*point) for point in at]))
+    kept = y >= np.maximum.accumulate(y, axis=1)
+    at = zip(np.nan_to_num(force[:, 0]), x, y, kept, strict=True)
+    return _estimate(success[:, 0] - np.array([np.interp(f, u[k], v[k]) for f, u, v, k in at]))
 
 
 def success_within(

@@ -213,6 +213,20 @@ def test_at_equal_force_it_is_read_between_the_forces_and_level_beyond_them():
     assert gain(6.0) == pytest.approx(100 - 80)
 
 
+def test_at_equal_force_settings_that_a_lighter_one_beats_do_not_weaken_a_baseline():
+    found = same_starts(
+        [
+            [row("S" * 10, (3.0,) * 10)],
+            [row("SSSSLLLLLL", (2.0,) * 10)],
+            [row("SSLLLLLLLL", (3.0,) * 10)],
+            [row("SSSSSSSSLL", (4.0,) * 10)],
+        ]
+    )
+    # 40 % at 2 N, 80 % at 4 N; those 20 % at 3 N are nobody's choice.
+    gain = gain_at_equal_force(found, resampled(found), [1, 2, 3])
+    assert gain.value == pytest.approx(100 - 60)
+
+
 def test_a_trial_that_never_began_to_lift_has_no_force():
     found = same_starts([[row("SL", (3.0, None))], [row("LL", (None, None))]])
     weights = resampled(found, resamples=10)

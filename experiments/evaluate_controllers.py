@@ -13,6 +13,7 @@ budgets for those that the same policy had:
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import islice
@@ -272,6 +273,13 @@ class _Job(NamedTuple):
     names: list[str]
 
 
+def _compiled(job: _Job) -> Hashable:
+    """What of a job decides which functions are compiled; the rest is drawn."""
+    one = job.chosen
+    grip = one.squeeze_force, one.squeeze_split, one.grip
+    return one.controller, *grip, one.angle_deg > 0, one.robot_errors
+
+
 def _evaluated(own: _Evaluator, job: _Job) -> dict[str, Any]:
     """Its rows, and incidents, for the journal."""
     controller = own.policy if job.chosen.controller == "policy" else None
@@ -310,7 +318,7 @@ def main(config: ComparisonConfig) -> None:
     ]
     setup = (lambda: own) if config.alone else partial(_load, config)
     journal = Journal(config.out, made_of, made["git"])
-    results = journaled(config, _evaluated, new, setup, journal)
+    results = journaled(config, _evaluated, new, setup, journal, kind=_compiled)
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=finished)
         for each in asked[finished:]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.blocks import Part, joined
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
-from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers
+from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers, compiled_for
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.evaluation.grasps.tables import scenario_table
@@ -277,6 +277,11 @@ class Systems:
             raise InputError("--scenarios", scenario.approach, free)
         self.makers.objects(scenario)
 
+    def kind(self, job: tuple[str, Scenario, Part]) -> Hashable:
+        """What decides which functions are compiled for a part."""
+        name, scenario, _ = job
+        return self._make[self.of[name]], compiled_for(scenario)
+
     def part(self, job: tuple[str, Scenario, Part]) -> dict[str, Any]:
         """A part of a variant's trials under a scenario."""
         name, scenario, part = job
@@ -291,7 +296,7 @@ def main(config: PipelineAblationConfig) -> None:
     with counting_progress(console) as bar:
         one = bar.add_task("", total=_PERCENT, visible=config.alone)
         systems = Systems(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
-        given = {  # each variant at once, so that what is compiled for one is there for its next
+        given = {
             (name, at): replace(scenario, **VARIANTS[name].scenario)
             for at, scenario in scenarios.items()
             for name in systems.of
@@ -320,7 +325,7 @@ def main(config: PipelineAblationConfig) -> None:
         runs = bar.add_task("parts of the trials", total=len(given) * len(parts))
         bar.update(runs, completed=len(given) * len(parts) - len(jobs))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
-        done = journaled(config, Systems.part, jobs, setup, journal)
+        done = journaled(config, Systems.part, jobs, setup, journal, kind=systems.kind)
         for name, at in left:
             found = []
             for _ in parts:

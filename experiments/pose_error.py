@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,8 @@ def main(config: PoseErrorConfig) -> None:
     left = [name for name in found.contestants if name not in done]
     cells = [(f"{name}, {at}", (name, at, noise)) for name in left for at, noise in grid]
     journal = journal_of(config, found)
-    results = journaled(config, _rows, cells, partial(_runner, config), journal)
+    setup = partial(_runner, config)
+    results = journaled(config, _rows, cells, setup, journal, kind=itemgetter(0))
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
         for name in left:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -106,7 +107,7 @@ def main(config: SensitivityConfig) -> None:
     ]
     journal = journal_of(config, found)
     setup = functools.partial(Runners, config)
-    results = journaled(config, Runners.rows, cells, setup, journal)
+    results = journaled(config, Runners.rows, cells, setup, journal, kind=itemgetter(0))
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
         for name, factor in left:

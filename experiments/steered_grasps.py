@@ -18,6 +18,7 @@ import functools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -310,7 +311,7 @@ def main(config: SteeredConfig) -> None:
         parts = bar.add_task("parts of the trials", total=len(jobs))
         setup = (lambda: own) if config.alone else functools.partial(Steered, config)
         named = [(json.dumps(job), job) for job in jobs]
-        for found in journaled(config, Steered.rows, named, setup, journal):
+        for found in journaled(config, Steered.rows, named, setup, journal, kind=itemgetter(0)):
             rows += found
             bar.update(parts, advance=1)
     write_json(config.out, identity | {"rows": rows, "provenance": made})

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from mjx_grasp.records.atomic import replacing
 from mjx_grasp.records.provenance import is_committed, versions
-from mjx_grasp.records.spread import Spread, as_done
+from mjx_grasp.records.spread import Kind, Spread, as_done
 
 Context = TypeVar("Context")
 Job = TypeVar("Job")
@@ -96,6 +96,7 @@ def journaled(
     setup: Callable[[], Context],
     journal: Journal,
     told: Callable[[Job], None] = lambda job: None,
+    kind: Kind[Job] = lambda job: None,
 ) -> Iterator[Any]:
     """The results of jobs in their order; none that is finished is lost, or done twice.
 
@@ -106,6 +107,7 @@ def journaled(
         setup: Called once in every process before its first job.
         journal: Where results are until it is closed.
         told: Of every job that is finished, when it is, be it before its turn.
+        kind: See `as_done`.
     """
     left = {name: job for name, job in jobs if name not in journal.done}
     given = 0
@@ -118,7 +120,7 @@ def journaled(
 
     yield from ready()
     names = list(left)
-    for k, result in as_done(over, work, list(left.values()), setup):
+    for k, result in as_done(over, work, list(left.values()), setup, kind):
         journal.add(names[k], result)
         told(left[names[k]])
         yield from ready()

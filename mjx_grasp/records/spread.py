@@ -7,8 +7,8 @@ run beside each other, each on cores of its own.
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeVar
@@ -21,6 +21,9 @@ from mjx_grasp.records.settings import CommandSettings, Count
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Context = TypeVar("Context")
+Kind = Callable[[Job], Hashable]
+"""What jobs have in common that a process makes for the first of them and has for the others, such
+as compiled functions."""
 S = TypeVar("S", bound="Spread")
 
 
@@ -85,6 +88,7 @@ def as_done(
     work: Callable[[Context, Job], Result],
     jobs: Sequence[Job],
     setup: Callable[[], Context],
+    kind: Kind[Job] = lambda job: None,
 ) -> Iterator[tuple[int, Result]]:
     """The results of jobs as soon as they are there, each with its job's place in the list.
 
@@ -95,6 +99,7 @@ def as_done(
         work: Does one job, with what `setup` has made.
         jobs: One after the other.
         setup: Called once in every process before its first job; in this one if it is alone.
+        kind: A process keeps to the kinds of jobs that it has begun with while there are any.
     """
     if not jobs:
         return
@@ -103,24 +108,66 @@ def as_done(
         yield from ((k, work(context, job)) for k, job in enumerate(jobs))
         return
     import ray
-    from ray.util import ActorPool
 
     with connected(over.address, over.processes):
-        kind: Any = ray.remote(
+        remote: Any = ray.remote(
             num_cpus=1, max_restarts=-1, max_task_retries=-1, scheduling_strategy="SPREAD"
         )(_Worker)
-        workers = [kind.remote(work, setup) for _ in range(min(over.processes, len(jobs)))]
+        workers = [remote.remote(work, setup) for _ in range(min(over.processes, len(jobs)))]
         machines = ray.get([worker.machine.remote() for worker in workers])
-        places = dict(zip(workers, places_on(machines), strict=True))
-        pool: Any = ActorPool(workers)
+        places = places_on(machines)
+        left, at = Left([kind(job) for job in jobs], len(workers)), dict[Any, int]()
+
+        def begin(which: int) -> None:
+            number = left.next(which)
+            if number is not None:
+                task = workers[which].run.remote(places[which], number, jobs[number])
+                at[task] = which
+
+        for which in range(len(workers)):
+            begin(which)
         try:
-            yield from pool.map_unordered(
-                lambda worker, job: worker.run.remote(places[worker], *job), list(enumerate(jobs))
-            )
+            while at:
+                (ended,), _ = ray.wait(list(at))
+                begin(at.pop(ended))
+                yield ray.get(ended)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, MjxGraspError):  # for people: without the traceback there
                 raise error.cause from None
             raise
+
+
+class Left:
+    """Jobs that are left, dealt out so that a process seldom meets a kind of jobs anew.
+
+    Args:
+        kinds: Of every job, in their order.
+        processes: How many share them.
+    """
+
+    def __init__(self, kinds: Sequence[Hashable], processes: int):
+        self._left: dict[Hashable, deque[int]] = {}
+        for number, kind in enumerate(kinds):
+            self._left.setdefault(kind, deque()).append(number)
+        self._met: list[set[Hashable]] = [set() for _ in range(processes)]
+
+    def next(self, process: int) -> int | None:
+        """A job for a process that has none; None if nothing is left.
+
+        Of a kind that it has met, else of one that the fewest have; of several such that of which
+        most is left.
+        """
+        left = [kind for kind, numbers in self._left.items() if numbers]
+        if not left:
+            return None
+        mine = [kind for kind in left if kind in self._met[process]]
+
+        def rank(kind: Hashable) -> tuple[int, int]:
+            return sum(kind in met for met in self._met), -len(self._left[kind])
+
+        chosen = min(mine or left, key=rank)
+        self._met[process].add(chosen)
+        return self._left[chosen].popleft()
 
 
 def places_on(machines: Sequence[str]) -> list[Place]:

@@ -2,14 +2,18 @@
 
 The engine keeps no state of its own between calls: state goes in and comes out as arrays, through
 `jax.pure_callback`, so that the same environment and the same training loop run on it as on MJX.
-The worlds of an object are a `mujoco.batch.Batch`, whose threads do not wait for Python.
+The worlds of an object are a `mujoco.batch.Batch`, whose threads do not wait for Python; several
+objects are stepped beside each other.
 """
 
 from __future__ import annotations
 
 import copy
+import functools
+import math
 import threading
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +41,8 @@ _READ = (
     *("M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "nefc"),
     *("site_xpos", "site_xmat", "xaxis", "xanchor", "sensordata"),
 )
+_SPARE = 2
+"""So many threads for a core where several objects are stepped beside each other."""
 _VARIED = ("geom_friction", "body_mass", "body_inertia", "body_invweight0", "body_subtreemass")
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
@@ -52,7 +58,10 @@ class NativePhysics(Physics):
 
     def __init__(self, scene: Scene, control_dt: float = 0.01, threads: int | None = None):
         super().__init__(scene, control_dt)
-        self._threads = threads or usable_cores()
+        threads = threads or usable_cores()
+        self._beside = min(len(scene.objects), threads)
+        # Some objects are dearer than others: those that are done leave their cores to them.
+        self._threads = threads if self._beside == 1 else math.ceil(_SPARE * threads / self._beside)
         self._alone = threading.Lock()
         one = len(scene.objects) == 1
         self._singles = (
@@ -123,13 +132,25 @@ class NativePhysics(Physics):
     ) -> dict[str, np.ndarray]:
         state, params, wrench, awake = jax.tree.map(np.asarray, (state, params, wrench, awake))
         out = {n: np.zeros((len(awake), *s), d) for n, (s, d) in self._readings.items()}
+
+        def of_object(index: int) -> None:
+            rows = np.flatnonzero(awake & (params.object_index == index))
+            own = jax.tree.map(lambda x: x[rows], (state, params, wrench))
+            for name, x in self._of(index, len(rows)).step(*own).items():
+                out[name][rows] = x
+
+        there = np.unique(params.object_index[awake]).tolist()
         with self._alone:  # several devices of JAX may call at once, and share the simulations
-            for index in np.unique(params.object_index[awake]).tolist():
-                rows = np.flatnonzero(awake & (params.object_index == index))
-                own = jax.tree.map(lambda x, rows=rows: x[rows], (state, params, wrench))
-                for name, x in self._of(index, len(rows)).step(*own).items():
-                    out[name][rows] = x
+            if self._beside == 1:
+                for index in there:
+                    of_object(index)
+            else:
+                list(self._pool.map(of_object, there))
         return out
+
+    @functools.cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self._beside, "object")
 
     def _of(self, index: int, count: int) -> _Worlds:
         """Room for at least so many worlds of an object."""

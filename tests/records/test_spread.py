@@ -11,10 +11,13 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records import spread as module
 from mjx_grasp.records.spread import (
+    Left,
     Place,
     Spread,
     as_done,
@@ -66,6 +69,39 @@ def test_more_processes_than_cores_of_a_machine_share_them():
 
 def test_places_are_counted_on_each_machine():
     assert places_on("aba") == [Place(0, 2), Place(0, 1), Place(1, 2)]
+
+
+def test_all_jobs_are_dealt_out_once_in_their_order():
+    left = Left([None] * 5, processes=2)
+    assert [left.next(k % 2) for k in range(7)] == [0, 1, 2, 3, 4, None, None]
+
+
+@given(
+    kinds=st.lists(st.sampled_from("abcd"), max_size=20),
+    asking=st.lists(st.integers(0, 2), min_size=60, max_size=60),
+)
+def test_whatever_the_kinds_none_is_lost_or_done_twice(kinds, asking):
+    left = Left(kinds, processes=3)
+    dealt = [number for number in map(left.next, asking) if number is not None]
+    assert sorted(dealt) == list(range(len(kinds)))
+
+
+def test_a_process_keeps_to_a_kind_while_there_are_jobs_of_it():
+    left = Left("abcabc", processes=3)
+    first = [left.next(process) for process in (0, 1, 2)]
+    assert ["abcabc"[number] for number in first] == ["a", "b", "c"], "each another one"
+    again = [left.next(process) for process in (2, 0, 1)]
+    assert ["abcabc"[number] for number in again] == ["c", "a", "b"], "and its own again"
+    assert left.next(0) is None
+
+
+def test_who_has_nothing_left_of_its_kinds_helps_with_what_the_fewest_are_at():
+    left = Left("aabbbb", processes=3)
+    assert [left.next(0), left.next(1)] == [2, 0], "of what most is left first"
+    assert left.next(2) == 3, "of two that one has, the one of which most is left"
+    assert left.next(1) == 1
+    assert left.next(1) == 4, "nothing is left of its own"
+    assert [left.next(0), left.next(2)] == [5, None]
 
 
 def test_who_shares_the_work_is_not_of_the_results():
@@ -155,6 +191,19 @@ def test_what_is_done_is_there_although_an_earlier_job_is_not(two_cores, tmp_pat
         if len(found) == 3:
             (tmp_path / "others").touch()
     assert sorted(found[:3]) == [(1, 101), (2, 102), (3, 103)] and found[3] == (0, 100)
+
+
+@pytest.mark.long
+def test_jobs_of_a_kind_are_done_by_one_process(two_cores):
+    def work(context, job):
+        time.sleep(0.1)
+        return job, os.getpid()
+
+    jobs = [(kind, k) for k in range(4) for kind in "ab"]
+    done = as_done(Spread(processes=2), work, jobs, lambda: None, kind=lambda job: job[0])
+    by = {job: pid for _, (job, pid) in done}
+    assert sorted(by) == sorted(jobs)
+    assert len({by["a", k] for k in range(3)}) == len({by["b", k] for k in range(3)}) == 1
 
 
 @pytest.mark.long

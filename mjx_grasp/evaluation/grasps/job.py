@@ -14,7 +14,7 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.blocks import Part, joined
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
-from mjx_grasp.evaluation.grasps.makers import Makers
+from mjx_grasp.evaluation.grasps.makers import Makers, compiled_for
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
 from mjx_grasp.pipeline.grasper import Grasper
@@ -112,7 +112,9 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
             for name in scenarios
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
-        results = journaled(config, _Grasps.part, jobs, setup, journal)
+        results = journaled(
+            config, _Grasps.part, jobs, setup, journal, kind=lambda job: compiled_for(job[0])
+        )
         for name in left:
             found = []
             for _ in parts:

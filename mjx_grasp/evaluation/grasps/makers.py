@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -29,6 +29,16 @@ from mjx_grasp.sim.scene import Scene, build_scene
 
 MakeGrasper = Callable[[RobotSpec, Approach], Grasper]
 """A controller of a robot as it is mounted, whose palm is to come from somewhere."""
+
+
+def compiled_for(scenario: Scenario) -> Hashable:
+    """What of a scenario decides which functions a controller compiles for it."""
+    return (
+        scenario.table_height,
+        scenario.approach,
+        len(scenario.obstacles),
+        scenario.objects,
+    )
 
 
 @dataclass

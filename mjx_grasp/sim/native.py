@@ -41,8 +41,6 @@ _READ = (
     *("M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "nefc"),
     *("site_xpos", "site_xmat", "xaxis", "xanchor", "sensordata"),
 )
-_SPARE = 2
-"""So many threads for a core where several objects are stepped beside each other."""
 _VARIED = ("geom_friction", "body_mass", "body_inertia", "body_invweight0", "body_subtreemass")
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
@@ -60,8 +58,7 @@ class NativePhysics(Physics):
         super().__init__(scene, control_dt)
         threads = threads or usable_cores()
         self._beside = min(len(scene.objects), threads)
-        # Some objects are dearer than others: those that are done leave their cores to them.
-        self._threads = threads if self._beside == 1 else math.ceil(_SPARE * threads / self._beside)
+        self._threads = math.ceil(threads / self._beside)  # for each of those beside each other
         self._alone = threading.Lock()
         one = len(scene.objects) == 1
         self._singles = (

@@ -23,6 +23,7 @@ rolling over an edge is not seen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -79,10 +80,31 @@ def holding_force(
         load: What has to be balanced, in the frame of the contacts; not zero.
         config: Friction.
     """
+    return holding_forces(contact, inward, load, (config,))[0]
+
+
+@full_precision
+def holding_forces(
+    contact: Float[Array | np.ndarray, "3 3"],
+    inward: Float[Array | np.ndarray, "3 3"],
+    load: Load,
+    configs: Sequence[ContactConfig],
+) -> Float[Array, " k"]:
+    """`holding_force` by contacts of several kinds: one programme for all is sooner compiled [N].
+
+    Args:
+        contact: Points on the surface [m].
+        inward: Unit normals there, into the object.
+        load: What has to be balanced, in the frame of the contacts; not zero.
+        configs: Frictions, each kind's.
+    """
     push, point = jnp.asarray(load.force), jnp.asarray(load.point)
     size = norm(push)
     against = -push / jnp.where(size > 0, size, 1.0)
-    held = _held_load(jnp.asarray(contact) - point, jnp.asarray(inward), against, config)
+    arm, inward = jnp.asarray(contact) - point, jnp.asarray(inward)
+    friction = jnp.array([config.friction for config in configs], arm.dtype)
+    torsion = jnp.array([config.torsion for config in configs], arm.dtype)
+    held = jax.vmap(lambda *own: _held_load(arm, inward, against, *own))(friction, torsion)
     return jnp.where(size > 0, size / held, 0.0)
 
 
@@ -141,11 +163,12 @@ def _held_load(
     arm: Float[Array, "3 3"],
     inward: Float[Array, "3 3"],
     against: Float[Array, " 3"],
-    config: ContactConfig,
+    friction: Float[Array, ""],
+    torsion: Float[Array, ""],
 ) -> Float[Array, ""]:
     """How much of a unit force through the origin is held by 1 N of each finger; 0 if none."""
     scale = jnp.maximum(jnp.sqrt(jnp.mean(dot(arm, arm))), _LEAST_SCALE)  # torques become forces
-    arm, torsion = arm / scale, config.torsion / scale
+    arm, torsion = arm / scale, torsion / scale
     first = jnp.concatenate([against, jnp.zeros(3)])
     free = _complement(first)
 
@@ -153,7 +176,7 @@ def _held_load(
     eye = jnp.broadcast_to(jnp.eye(3), (3, 3, 3))
     velocity = jnp.concatenate([eye, -jnp.cross(eye, arm[:, None, :])], axis=-1)
     along = jnp.einsum("ia,iab->ib", inward, velocity)
-    across = config.friction * (velocity - inward[:, :, None] * along[:, None, :])
+    across = friction * (velocity - inward[:, :, None] * along[:, None, :])
     turn = jnp.concatenate([jnp.zeros((3, 3)), torsion * inward], axis=-1)
     slides = jnp.concatenate([across, turn[:, None, :]], axis=1)
     along_first, slides_first = along @ first, slides @ first
@@ -167,12 +190,12 @@ def _held_load(
     def cones(x: Float[Array, " 8"]) -> _Cones:
         gap = lever @ x - along_first
         slide = slides_first + slides @ x[:5]
-        friction = jnp.sqrt(jnp.sum(slide * slide, axis=1) + 1e-12)
+        borne = jnp.sqrt(jnp.sum(slide * slide, axis=1) + 1e-12)
         down = jnp.einsum("ia,iab->ib", slide, slides)
         return _Cones(
-            inside=(gap - friction) * (gap + friction),
+            inside=(gap - borne) * (gap + borne),
             slope=gap[:, None] * lever - jnp.pad(down, [(0, 0), (0, 3)]),
-            needed=x[5:] - gap + friction,
+            needed=x[5:] - gap + borne,
             # The first twist is perpendicular to the others.
             room=_FARTHEST**2 - 1.0 - jnp.sum(x[:5] ** 2),
         )

@@ -92,7 +92,26 @@ def can_hold(
     """
     if np.isinf(friction):
         return jnp.asarray(True)
-    weight = jnp.zeros(()) if around.weight is None else around.weight
     share = holding_force(contacts, -normals, pull(around, 1.0), ContactConfig(friction=friction))
+    return can_press(body, share, closed, normals, around)
+
+
+def can_press(
+    body: Body,
+    share: Float[Array, ""],
+    closed: Float[Array, " joints"],
+    normals: Float[Array, "3 3"],
+    around: Surroundings,
+) -> Bool[Array, ""]:
+    """The same of contacts that ask for so much force.
+
+    Args:
+        body: The robot.
+        share: Force that they ask for, by the object's weight; +inf where none is enough [-].
+        closed: Configuration with the fingers on their contacts, as from `touching` [rad].
+        normals: Outward unit normals of the surface at thumb, first and second wrap, world [-].
+        around: The object.
+    """
+    weight = jnp.zeros(()) if around.weight is None else around.weight
     most = pressing_force(body, closed, -normals)[0]
     return jnp.isfinite(share) & (jnp.where(weight > 0, share * weight, 0.0) <= most)

@@ -6,6 +6,7 @@ An attempt may lack a solution, a straight lift or a closing finger after it, or
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +17,8 @@ from mjx_grasp.geometry.signed_distance import signed_distance
 from mjx_grasp.geometry.vectors import norm, unit
 from mjx_grasp.grasp.wrench_margin import (
     ContactConfig,
-    Load,
     about_holding_force,
-    holding_force,
+    holding_forces,
 )
 from mjx_grasp.posture.body import Body
 from mjx_grasp.posture.ik import IkSolution
@@ -27,7 +27,7 @@ from mjx_grasp.posture.surroundings import Surroundings, to_object
 from mjx_grasp.posture.touch import pad_angles, pressing_force, touching
 from mjx_grasp.reaching.approach import deviation
 from mjx_grasp.reaching.fields import midpoint
-from mjx_grasp.reaching.holding import can_hold, pull
+from mjx_grasp.reaching.holding import can_press, pull
 from mjx_grasp.reaching.plan_config import PlanConfig
 
 FAILED = 1e4
@@ -60,12 +60,46 @@ def attempt_costs(
     return jnp.where(admissible, plan.haste * time + _LACKING * lacking, FAILED)
 
 
+class Asked(NamedTuple):
+    """Force of the thumb that contacts ask for to hold the object, by its weight [-].
+
+    With one friction after the other of the search's settings; +inf where no force is enough.
+    """
+
+    to_hold: Float[Array, " n"]
+    to_press: Float[Array, " n"]
+    to_count: Float[Array, " n"]
+    """with that with which they must hold it; anything where that is not looked at"""
+
+
+def asked_of(
+    plan: PlanConfig,
+    contacts: Float[Array, "n 3 3"],
+    normals: Float[Array, "n 3 3"],
+    around: Surroundings,
+) -> Asked:
+    """What contacts ask for.
+
+    Args:
+        plan: The search's settings.
+        contacts: Thumb, index and middle, world [m].
+        normals: Outward unit normals of the surface there, world [-].
+        around: The object.
+    """
+    must = plan.must_hold if np.isfinite(plan.must_hold) else plan.hold_friction
+    kinds = [ContactConfig(friction=f) for f in (plan.hold_friction, plan.press_friction, must)]
+    load = pull(around, 1.0)
+    forces = jax.vmap(lambda at, n: holding_forces(at, -n, load, kinds))(contacts, normals)
+    return Asked(*forces.T)
+
+
 def closing_costs(
     body: Body,
     plan: PlanConfig,
     q: Float[Array, "n joints"],
     contacts: Float[Array, "n 3 3"],
     normals: Float[Array, "n 3 3"],
+    asked: Asked,
     around: Surroundings,
 ) -> Float[Array, " n"]:
     """What postures lack in their approach, and for closing, pressing and lifting after them [s].
@@ -78,6 +112,7 @@ def closing_costs(
         q: Postures in front of the contacts [rad].
         contacts: Thumb, index and middle, world [m].
         normals: Outward unit normals of the surface there, world [-].
+        asked: What the contacts ask for, from `asked_of`.
         around: Object and obstacles.
     """
     lacking = late = jnp.zeros(len(q))
@@ -100,11 +135,10 @@ def closing_costs(
         turned = jax.vmap(lambda q, n: pad_angles(body, q, n))(closed.q, normals)
         late = late + plan.pad_weight * jnp.maximum(jnp.max(turned, axis=1) - plan.pad_angle, 0.0)
     if weight is not None:
-        load = pull(around, weight)
-        late = late + _press_costs(body, plan, closed.q, contacts, normals, load)
+        late = late + _press_costs(body, plan, closed.q, normals, asked.to_press, weight)
     if np.isfinite(plan.must_hold):
-        holds = partial(can_hold, body, plan.must_hold, around=around)
-        late = jnp.where(jax.vmap(holds)(closed.q, contacts, normals), late, FAILED)
+        holds = jax.vmap(partial(can_press, body, around=around))
+        late = jnp.where(holds(asked.to_count, closed.q, normals), late, FAILED)
     return _LACKING * lacking + late
 
 
@@ -135,6 +169,7 @@ def slip_costs(
     plan: PlanConfig,
     contacts: Float[Array, "n 3 3"],
     normals: Float[Array, "n 3 3"],
+    asked: Asked,
     around: Surroundings,
 ) -> Float[Array, " n"]:
     """What contacts lack that the object is likely to slip out of [s].
@@ -143,14 +178,13 @@ def slip_costs(
         plan: The search's settings.
         contacts: Thumb, index and middle, world [m].
         normals: Outward unit normals of the surface there, world [-].
+        asked: What the contacts ask for, from `asked_of`.
         around: Object and obstacles.
     """
     lacking = jnp.zeros(len(contacts))
     if plan.hold_weight > 0:
-        load, contact = pull(around, 1.0), ContactConfig(friction=plan.hold_friction)
-        force = jax.vmap(lambda at, n: holding_force(at, -n, load, contact))(contacts, normals)
         # The thumb bears half the weight, and of walls that stand upright by friction alone.
-        excess = jnp.minimum(force, plan.hold_most) - 0.5 / plan.hold_friction
+        excess = jnp.minimum(asked.to_hold, plan.hold_most) - 0.5 / plan.hold_friction
         lacking = lacking + plan.hold_weight * jnp.maximum(excess, 0.0)
     if plan.lever_weight > 0:
         beside = jax.vmap(midpoint)(contacts) - pull(around, 1.0).point
@@ -166,22 +200,15 @@ def _press_costs(
     body: Body,
     plan: PlanConfig,
     q: Float[Array, "n joints"],
-    contacts: Float[Array, "n 3 3"],
     normals: Float[Array, "n 3 3"],
-    load: Load,
+    share: Float[Array, " n"],
+    weight: Float[Array, ""],
 ) -> Float[Array, " n"]:
     """What the thumb lacks to press as hard as contacts ask for to hold the known weight [s]."""
-    contact = ContactConfig(friction=plan.press_friction)
-
-    def lacking(
-        q: Float[Array, " joints"], at: Float[Array, "3 3"], normal: Float[Array, "3 3"]
-    ) -> Float[Array, ""]:
-        needed = holding_force(at, -normal, load, contact)
-        return jnp.maximum(needed - pressing_force(body, q, -normal)[0], 0.0)
-
+    pressed = jax.vmap(lambda q, normal: pressing_force(body, q, -normal)[0])(q, normals)
+    lacking = jnp.maximum(jnp.where(weight > 0, weight * share, 0.0) - pressed, 0.0)
     # Contacts that cannot hold it at all count as asking for a finite force.
-    most = plan.hold_most * norm(jnp.asarray(load.force))
-    return plan.press_weight * jnp.minimum(jax.vmap(lacking)(q, contacts, normals), most)
+    return plan.press_weight * jnp.minimum(lacking, plan.hold_most * weight)
 
 
 def circles(

@@ -35,6 +35,7 @@ from mjx_grasp.reaching.holding import met, opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.plan_costs import (
     FAILED,
+    asked_of,
     attempt_costs,
     closing_costs,
     light_enough,
@@ -293,8 +294,9 @@ class Planner:
         position = at[option]
         normal = ways.targets.normal[option] @ around.R_wo.T
         cost = attempt_costs(body, plan, allowed[option], found, q)
-        cost = cost + closing_costs(body, plan, found.q, position, normal, around)
-        cost = cost + slip_costs(plan, position, normal, around)
+        asked = asked_of(plan, position, normal, around)
+        cost = cost + closing_costs(body, plan, found.q, position, normal, asked, around)
+        cost = cost + slip_costs(plan, position, normal, asked, around)
         if far is not None:
             cost = cost + far[jnp.asarray(ways.targets.candidate)[option]]
 

@@ -16,7 +16,7 @@ from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import pressing_force
 from mjx_grasp.reaching.holding import can_hold, met, opposing
 from mjx_grasp.reaching.plan_config import PlanConfig
-from mjx_grasp.reaching.plan_costs import FAILED, closing_costs
+from mjx_grasp.reaching.plan_costs import FAILED, asked_of, closing_costs
 from mjx_grasp.reaching.planning import held_easily
 
 OUT = jnp.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, 0]])
@@ -147,11 +147,14 @@ def test_attempts_that_cannot_hold_have_failed(body):
 
     def cost(must_hold, normals, weight):
         plan = PlanConfig(must_hold=must_hold)
-        return float(closing_costs(body, plan, q, contacts, normals[None], around(weight))[0])
+        given = contacts, normals[None]
+        asked = asked_of(plan, *given, around(weight))
+        return float(closing_costs(body, plan, q, *given, asked, around(weight))[0])
 
     never, held = partial(cost, float("inf")), partial(cost, 0.8)
     assert held(OUT, None) == never(OUT, None) == never(ADJACENT, None) == 0.0
     assert held(ADJACENT, None) >= FAILED and held(OUT, 1e3) >= FAILED
     free = replace(body, torque_limit=np.full_like(body.torque_limit, np.inf))
     plan = PlanConfig(must_hold=0.8)
-    assert float(closing_costs(free, plan, q, contacts, OUT[None], around(1e3))[0]) == 0.0
+    asked = asked_of(plan, contacts, OUT[None], around(1e3))
+    assert float(closing_costs(free, plan, q, contacts, OUT[None], asked, around(1e3))[0]) == 0.0

@@ -21,7 +21,7 @@ from mjx_grasp.reaching.command import half_spaces
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import pad_goals
 from mjx_grasp.reaching.guide import Tracked, follow, track
-from mjx_grasp.reaching.plan_costs import closing_costs, light_enough, slip_costs
+from mjx_grasp.reaching.plan_costs import asked_of, closing_costs, light_enough, slip_costs
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.sim.collision import CollisionChecker
@@ -237,7 +237,9 @@ def test_contacts_cost_by_the_force_they_ask_for_and_by_the_edges_near_them(plan
         around = Surroundings.still(shape, place, turn, jnp.array(com))
         local = at.at[:, 2].add(half - below_rim)
         contacts = place + local @ turn.T
-        return float(slip_costs(config, contacts[None], (out @ turn.T)[None], around)[0])
+        given = contacts[None], (out @ turn.T)[None]
+        asked = asked_of(config, *given, around)
+        return float(slip_costs(config, *given, asked, around)[0])
 
     assert cost(0.002) == 0.0
     # The circle's highest point is beyond the rim by what the contact is too near to it.
@@ -347,7 +349,8 @@ def test_postures_cost_by_what_the_thumb_cannot_press(planned):
     def cost(weight):
         around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
         around = around._replace(weight=None if weight is None else jnp.float32(weight))
-        return float(closing_costs(body, plan, q, contacts, out[None], around)[0])
+        asked = asked_of(plan, contacts, out[None], around)
+        return float(closing_costs(body, plan, q, contacts, out[None], asked, around)[0])
 
     assert cost(None) == cost(0.0) == cost(1.0) == 0.0
     # The thumb bears half of it, by friction.
@@ -356,7 +359,8 @@ def test_postures_cost_by_what_the_thumb_cannot_press(planned):
     inf = replace(body, torque_limit=np.full_like(body.torque_limit, np.inf))
     around = Surroundings.still(Sphere(jnp.float32(0.03)), jnp.zeros(3), jnp.eye(3))
     around = around._replace(weight=jnp.float32(60.0))
-    assert float(closing_costs(inf, plan, q, contacts, out[None], around)[0]) == 0.0
+    asked = asked_of(plan, contacts, out[None], around)
+    assert float(closing_costs(inf, plan, q, contacts, out[None], asked, around)[0]) == 0.0
 
 
 def test_postures_cost_by_the_finger_that_faces_its_contact_least(planned):
@@ -373,7 +377,9 @@ def test_postures_cost_by_the_finger_that_faces_its_contact_least(planned):
         angles = jnp.array(angles)[:, None]
         normals = jnp.cos(angles) * facing + jnp.sin(angles) * aside
         config = replace(plan, pad_weight=weight, pad_angle=0.8)
-        return float(closing_costs(body, config, q[None], pads[None], normals[None], around)[0])
+        given = pads[None], normals[None]
+        asked = asked_of(config, *given, around)
+        return float(closing_costs(body, config, q[None], *given, asked, around)[0])
 
     assert cost((0.0, 0.5, 0.75)) == pytest.approx(0.0, abs=1e-3)
     assert cost((0.0, 1.3, 0.9)) == pytest.approx(2.0 * 0.5, abs=5e-3)

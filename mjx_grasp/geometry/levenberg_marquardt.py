@@ -71,7 +71,7 @@ def minimise(
     upper: Float[Array, " n"],
     pull: Float[Array, " n"],
     reference: Float[Array, " n"],
-    iterations: int,
+    iterations: int | Int[Array, ""],
     damping: float = 1e-3,
 ) -> Minimum:
     """Minimises ``|errors(x)|² + |pull · (x − reference)|²`` over ``lower ≤ x ≤ upper``.
@@ -87,7 +87,7 @@ def minimise(
         upper: The same.
         pull: Weights towards the reference, in errors per unknown.
         reference: Where the pull is to.
-        iterations: Steps, fixed.
+        iterations: Steps; the same for all of a batch.
         damping: Of the first step, of the diagonal of the normal equations.
     """
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.geometry.levenberg_marquardt import Linearised, minimise
 from mjx_grasp.geometry.vectors import norm
@@ -63,6 +63,7 @@ def solve_ik(
     around: Surroundings,
     start: Float[Array, " joints"],
     reference: Float[Array, " joints"],
+    steps: Int[Array, ""] | None = None,
 ) -> IkSolution:
     """Minimises ``Σ|x_tip − goal|² + (w_o|n_pad − n*|)² + (w_c·missing)² + Σ(w_p(q − q_ref))²``.
 
@@ -77,6 +78,7 @@ def solve_ik(
         around: Object and obstacles.
         start: Where the search begins, [rad].
         reference: Posture to stay near, [rad].
+        steps: Of the solver; the configuration's by default.
     """
     busy, idle_weight = body.arm | body.grasping, config.idle_weight
     solved = np.flatnonzero(busy | (idle_weight is not None))
@@ -97,7 +99,7 @@ def solve_ik(
         upper,
         jnp.asarray(pull, jnp.float32),
         reference[solved],
-        config.iterations,
+        config.iterations if steps is None else steps,
         config.damping,
     )
     return IkSolution(

@@ -274,23 +274,22 @@ class Planner:
         starts = choose_starts(body, library, plan.starts, options, around, q, key)
         option, home = starts.option, jnp.asarray(body.home)
 
-        def attempts(
-            option: Int[Array, " n"], start: Float[Array, "n joints"], steps: int
-        ) -> IkSolution:
-            def attempt(option: Int[Array, ""], start: Float[Array, " joints"]) -> IkSolution:
-                wanted = jax.tree.map(lambda leaf: leaf[option], goals)
-                ik = replace(plan.ik, iterations=steps)
-                return solve_ik(body, ik, self._clearances, wanted, around, start, home)
-
-            return jax.vmap(attempt)(option, start)
+        def wanted(option: Int[Array, " n"]) -> TipGoals:
+            return jax.tree.map(lambda leaf: leaf[option], goals)
 
         start = starts.q
         if plan.finalists is not None and plan.finalists < plan.starts.count:
-            begun = attempts(option, start, plan.first_steps)
+
+            def begin(wanted: TipGoals, start: Float[Array, " joints"]) -> IkSolution:
+                ik = replace(plan.ik, iterations=plan.first_steps)
+                return solve_ik(body, ik, self._clearances, wanted, around, start, home)
+
+            begun = jax.vmap(begin)(wanted(option), start)
             cost = attempt_costs(body, plan, allowed[option], begun, q)
             _, best = jax.lax.top_k(-cost, plan.finalists)
             option, start = option[best], begun.q[best]
-        found = attempts(option, start, plan.ik.iterations)
+        solve = jax.vmap(self._solved, in_axes=(0, 0, None))
+        found, guides = solve(wanted(option), start, around)
         position = at[option]
         normal = ways.targets.normal[option] @ around.R_wo.T
         cost = attempt_costs(body, plan, allowed[option], found, q)
@@ -300,18 +299,10 @@ class Planner:
         if far is not None:
             cost = cost + far[jnp.asarray(ways.targets.candidate)[option]]
 
-        def guide(k: Int[Array, ""]) -> Guide:
-            wanted = jax.tree.map(lambda leaf: leaf[option[k]], goals)
-            return self._guide(wanted, found.q[k], around)
-
         if plan.way_samples:
-            everyone = jax.vmap(guide)(jnp.arange(len(option)))
-            cost = cost + jax.vmap(lambda g: self._way_cost(g, q, around))(everyone)
-            kept = self._different(found.q, cost)
-            guides = jax.tree.map(lambda leaf: leaf[kept], everyone)
-        else:
-            kept = self._different(found.q, cost)
-            guides = jax.vmap(guide)(kept)
+            cost = cost + jax.vmap(lambda guide: self._way_cost(guide, q, around))(guides)
+        kept = self._different(found.q, cost)
+        guides = jax.tree.map(lambda leaf: leaf[kept], guides)
         pick = option[kept]
         plans = Plans(
             candidate=jnp.asarray(ways.targets.candidate, jnp.int32)[pick],
@@ -334,18 +325,38 @@ class Planner:
         limits = self.reacher.config.limits
         return limits.clearances.wider(limits.margin)
 
-    def _guide(
-        self,
-        wanted: TipGoals,
-        q: Float[Array, " joints"],
-        around: Surroundings,
-    ) -> Guide:
-        """The funnel into a solution: out along the normal of the plane of grasp axis and wraps.
+    def _solved(
+        self, wanted: TipGoals, start: Float[Array, " joints"], around: Surroundings
+    ) -> tuple[IkSolution, Guide]:
+        """A posture for goals of the tips, and the funnel into it.
+
+        The solver, most of what there is to compile, is compiled once for both of its postures.
+        """
+        body, plan = self.reacher.body, self.config
+
+        def solve(
+            given: tuple[TipGoals, Float[Array, " joints"], Float[Array, " joints"]],
+            steps: Int[Array, ""],
+        ) -> tuple[tuple[TipGoals, Float[Array, " joints"], Float[Array, " joints"]], IkSolution]:
+            goals, start, reference = given
+            clearances = self._clearances
+            found = solve_ik(body, plan.ik, clearances, goals, around, start, reference, steps)
+            return (self._retreated(goals, found.q, around), found.q, found.q), found
+
+        steps = plan.ik.iterations, plan.retreat_steps or plan.ik.iterations
+        begin = wanted, start, jnp.asarray(body.home)
+        _, found = jax.lax.scan(solve, begin, jnp.array(steps))
+        end = jax.tree.map(lambda leaf: leaf[0], found)
+        return end, self._guide(found.q, around)
+
+    def _retreated(
+        self, wanted: TipGoals, q: Float[Array, " joints"], around: Surroundings
+    ) -> TipGoals:
+        """Out along the normal of the plane of grasp axis and wraps.
 
         Or straight up, where that way leads the tips too near to the object: see `freer`.
         """
-        body, goals = self.reacher.body, wanted.tips
-        motion = body.kinematics.motion(q)
+        goals, motion = wanted.tips, self.reacher.body.kinematics.motion(q)
         middle = midpoint(goals)
         axis = 0.5 * (goals[1] + goals[2]) - goals[0]
         normal = unit(jnp.cross(axis, goals[1] - goals[2]))
@@ -355,19 +366,19 @@ class Planner:
         length = self.reacher.config.guide.length
         if self.config.way_out > 0:
             retreat = freer(retreat, goals, length, around, self.config.way_out)
-        shifted = TipGoals(goals + length * retreat, wanted.pads)
-        ik = self.config.ik
-        ik = replace(ik, iterations=self.config.retreat_steps or ik.iterations)
-        retreated = solve_ik(body, ik, self._clearances, shifted, around, q, q)
-        outside = body.kinematics.motion(retreated.q)
-        R = around.R_wo
-        pos = jnp.stack([motion.pos[PALM], outside.pos[PALM]])
+        return TipGoals(goals + length * retreat, wanted.pads)
+
+    def _guide(self, q: Float[Array, "2 joints"], around: Surroundings) -> Guide:
+        """The funnel into a posture from the retreated one."""
+        motion = jax.vmap(self.reacher.body.kinematics.motion)(q)
+        R, pos = around.R_wo, motion.pos[:, PALM]
+        tips = jax.vmap(midpoint)(motion.pos[:, :FINGERS])
         return Guide(
             known=jnp.asarray(True),
-            q=jnp.stack([q, retreated.q]),
+            q=q,
             palm_pos=(pos - around.p_wo) @ R,
-            palm_mat=R.T @ jnp.stack([motion.mat[PALM], outside.mat[PALM]]),
-            tip_shift=R.T @ (midpoint(outside.pos[:FINGERS]) - midpoint(motion.pos[:FINGERS])),
+            palm_mat=R.T @ motion.mat[:, PALM],
+            tip_shift=R.T @ (tips[1] - tips[0]),
         )
 
     def _way_cost(

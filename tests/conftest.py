@@ -1,5 +1,6 @@
 """Shared fixtures, and run-time checks of the shapes that signatures promise."""
 
+import gc
 import itertools
 import os
 import sys
@@ -22,9 +23,15 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # (empty) runs them with the code that users get.
 if os.environ["JAX_PLATFORMS"] == "cpu":
     flags = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    # Threads that compile one program together do more in all, and the workers have the cores.
+    flags += " --xla_cpu_parallel_codegen_split_count=1"
     if version("jaxlib").startswith("0.10."):  # later ones end at a flag that they do not know
         flags += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", flags)
+# No test reads where in the source an operation is from: a tenth of the time to lower a program.
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
+# The threads of NumPy's products would wait for each other, for matrices as small as these.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Before anything of the package is imported. An int may be given where a float is asked for.
 TYPECHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
@@ -55,6 +62,15 @@ def share_contexts(programs=200):
 
 
 share_contexts()
+
+# What is imported stays, and little of what is traced hangs together in rings.
+gc.set_threshold(100_000, 20, 10)
+
+
+def pytest_collection_finish():
+    gc.collect()
+    gc.freeze()
+
 
 SUBSTEPS = 5
 

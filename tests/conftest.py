@@ -4,8 +4,10 @@ import gc
 import itertools
 import os
 import sys
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import hypothesis
 import jaxtyping
@@ -21,8 +23,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # On the CPU the tests compile far longer than they compute, so XLA optimises little. XLA_FLAGS=
 # (empty) runs them with the code that users get.
+LITTLE = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 if os.environ["JAX_PLATFORMS"] == "cpu":
-    flags = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    flags = LITTLE
     # Threads that compile one program together do more in all, and the workers have the cores.
     flags += " --xla_cpu_parallel_codegen_split_count=1"
     if version("jaxlib").startswith("0.10."):  # later ones end at a flag that they do not know
@@ -105,6 +108,22 @@ def pytest_collection_modifyitems(items):
         return LONGEST_FIRST.index(name) if name in LONGEST_FIRST else len(LONGEST_FIRST)
 
     items.sort(key=place)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _postures_are_drawn_fast():
+    """Of a hundred thousand that are tried few are kept: what tries them is worth optimising."""
+    if LITTLE not in os.environ.get("XLA_FLAGS", ""):
+        yield
+        return
+    import jax
+
+    from mjx_grasp.posture import draw
+
+    optimised = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 1})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(draw, "jax", SimpleNamespace(jit=optimised, vmap=jax.vmap))
+        yield
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """The object moves, jumps and turns, an obstacle crosses the way: the controller follows."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,6 @@ from mjx_grasp.reaching.controller import Reacher, ReachOutcome
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
 
-# Long runs compute as much as they compile: a little more of XLA's work than in the other tests.
-OPTIMISED = {"xla_backend_optimization_level": 1}
 TICKS, DT = 600, 0.01
 SCENARIOS = ("still", "drift", "jump", "turn", "obstacle")
 # Upright and lying cylinders, none under the hand at home.
@@ -134,7 +132,7 @@ def _run(name, body):
         state, q, kept = jax.vmap(world, in_axes)(state, q, scenario, shape, p, R, plans, t)
         return (state, q, plans), kept
 
-    @partial(jax.jit, compiler_options=OPTIMISED)
+    @jax.jit
     def run():
         def start(shape, p, R, plans):
             return reacher.start(home, candidates_of(shape), p, R, plans, obstacles=1)

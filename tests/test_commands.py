@@ -54,7 +54,7 @@ def command(module: str, *arguments: str | Path) -> subprocess.CompletedProcess:
 def trained(tmp_path_factory):
     """A run of two iterations on the brick's stand-in."""
     folder = tmp_path_factory.mktemp("runs") / "tiny"
-    done = command("train", "--preset", "cpu", *TINY, "--handoffs", STATES, "--out", folder)
+    done = typed("train", "--preset", "cpu", *TINY, "--handoffs", STATES, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 

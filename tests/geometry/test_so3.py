@@ -13,6 +13,13 @@ from mjx_grasp.geometry import so3
 ATOL = 3e-6
 
 properties = settings(max_examples=100, deadline=None)
+# Compiled once for the many examples: that jit changes nothing is a law of its own below.
+exp, log, align_vectors = map(jax.jit, (so3.exp, so3.log, so3.align_vectors))
+quat_mul, quat_rotate, quat_to_mat = map(jax.jit, (so3.quat_mul, so3.quat_rotate, so3.quat_to_mat))
+mat_to_quat, quat_from_axis_angle = map(jax.jit, (so3.mat_to_quat, so3.quat_from_axis_angle))
+slope_of_exp, slope_of_log = (jax.jit(jax.jacobian(f)) for f in (so3.exp, so3.log))
+slope_of_both = jax.jit(jax.jacobian(lambda w: so3.log(so3.exp(w))))
+slopes_of_align = jax.jit(jax.jacobian(so3.align_vectors, argnums=(0, 1)))
 
 
 def floats(shape, bound=1.0):
@@ -48,16 +55,16 @@ def is_rotation(R, atol=ATOL):
 def test_quaternions_agree_with_scipy(a, b, v):
     A, B = scipy_of(a), scipy_of(b)
     a, b, v = map(jnp.asarray, (a, b, v))
-    np.testing.assert_allclose(so3.quat_to_mat(a), A.as_matrix(), atol=ATOL)
-    np.testing.assert_allclose(so3.quat_rotate(a, v), A.apply(v), atol=ATOL)
-    product = so3.quat_to_mat(so3.quat_mul(a, b))
+    np.testing.assert_allclose(quat_to_mat(a), A.as_matrix(), atol=ATOL)
+    np.testing.assert_allclose(quat_rotate(a, v), A.apply(v), atol=ATOL)
+    product = quat_to_mat(quat_mul(a, b))
     np.testing.assert_allclose(product, (A * B).as_matrix(), atol=ATOL)
 
 
 @given(quats)
 @properties
 def test_matrix_to_quaternion_and_back(q):
-    back = np.asarray(so3.mat_to_quat(so3.quat_to_mat(jnp.asarray(q))))
+    back = np.asarray(mat_to_quat(quat_to_mat(jnp.asarray(q))))
     assert back[0] >= 0
     np.testing.assert_allclose(back * np.sign(back @ q), q, atol=ATOL)
 
@@ -67,8 +74,8 @@ def test_matrix_to_quaternion_and_back(q):
 def test_exp_agrees_with_scipy_and_axis_angle(axis, angle):
     w = (axis * angle).astype(np.float32)
     expected = Rotation.from_rotvec(w.astype(np.float64)).as_matrix()
-    np.testing.assert_allclose(so3.exp(jnp.asarray(w)), expected, atol=ATOL)
-    turned = so3.quat_to_mat(so3.quat_from_axis_angle(jnp.asarray(axis), angle))
+    np.testing.assert_allclose(exp(jnp.asarray(w)), expected, atol=ATOL)
+    turned = quat_to_mat(quat_from_axis_angle(jnp.asarray(axis), angle))
     np.testing.assert_allclose(turned, expected, atol=ATOL)
 
 
@@ -76,10 +83,10 @@ def test_exp_agrees_with_scipy_and_axis_angle(axis, angle):
 @properties
 def test_log_inverts_exp(axis, angle):
     w = (axis * angle).astype(np.float32)
-    R = so3.exp(jnp.asarray(w))
-    back = np.asarray(so3.log(R))
+    R = exp(jnp.asarray(w))
+    back = np.asarray(log(R))
     assert np.linalg.norm(back) <= np.pi + ATOL
-    np.testing.assert_allclose(so3.exp(jnp.asarray(back)), R, atol=ATOL)
+    np.testing.assert_allclose(exp(jnp.asarray(back)), R, atol=ATOL)
     if angle < np.pi - 1e-3:  # beyond, rounding may choose the axis's other sign
         np.testing.assert_allclose(back, w, atol=ATOL)
 
@@ -89,7 +96,7 @@ def test_log_inverts_exp(axis, angle):
 def test_log_agrees_with_scipy(q):
     R = scipy_of(q).as_matrix()
     angle = scipy_of(q).magnitude()
-    found = np.asarray(so3.log(jnp.asarray(R, jnp.float32)))
+    found = np.asarray(log(jnp.asarray(R, jnp.float32)))
     assert np.linalg.norm(found) == pytest.approx(angle, abs=ATOL)
     np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), R, atol=ATOL)
 
@@ -97,7 +104,7 @@ def test_log_agrees_with_scipy(q):
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 9.99e-3, 1.001e-2])
 def test_small_rotations_keep_their_relative_accuracy(size):
     w = jnp.asarray([0.6, -0.8, 0.0], jnp.float32) * size
-    np.testing.assert_allclose(so3.log(so3.exp(w)), w, rtol=2e-6)
+    np.testing.assert_allclose(log(exp(w)), w, rtol=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -105,19 +112,18 @@ def test_small_rotations_keep_their_relative_accuracy(size):
 )
 def test_gradients_are_finite_and_right_at_both_ends(w):
     w = jnp.asarray(w, jnp.float32)
-    assert np.isfinite(jax.jacobian(so3.exp)(w)).all()
-    R = so3.exp(w)
-    assert np.isfinite(jax.jacobian(so3.log)(R)).all()
+    assert np.isfinite(slope_of_exp(w)).all()
+    R = exp(w)
+    assert np.isfinite(slope_of_log(R)).all()
     if np.linalg.norm(w) < 1:
         # log ∘ exp is the identity: so is its derivative.
-        chain = jax.jacobian(lambda w: so3.log(so3.exp(w)))(w)
-        np.testing.assert_allclose(chain, np.eye(3), atol=1e-5)
+        np.testing.assert_allclose(slope_of_both(w), np.eye(3), atol=1e-5)
 
 
 @given(units, units)
 @properties
 def test_align_is_the_least_rotation(a, b):
-    R = np.asarray(so3.align_vectors(jnp.asarray(a), jnp.asarray(b)), np.float64)
+    R = np.asarray(align_vectors(jnp.asarray(a), jnp.asarray(b)), np.float64)
     is_rotation(R)
     np.testing.assert_allclose(R @ a, b, atol=ATOL)
     between = np.arctan2(np.linalg.norm(np.cross(a, b)), a.astype(np.float64) @ b)
@@ -130,7 +136,7 @@ def test_align_is_the_least_rotation(a, b):
 @properties
 def test_align_near_parallel_and_opposite(a, noise, size, sign):
     b = unit(sign * a + size * noise).astype(np.float32)
-    R = np.asarray(so3.align_vectors(jnp.asarray(a), jnp.asarray(b)), np.float64)
+    R = np.asarray(align_vectors(jnp.asarray(a), jnp.asarray(b)), np.float64)
     is_rotation(R)
     np.testing.assert_allclose(R @ a, b, atol=ATOL)
     if sign == 1:
@@ -141,7 +147,7 @@ def test_align_near_parallel_and_opposite(a, noise, size, sign):
 def test_align_has_finite_gradients_at_equal_and_opposite_vectors(axis):
     a = jnp.asarray(axis, jnp.float32)
     for b in (a, -a):
-        for gradient in jax.jacobian(so3.align_vectors, argnums=(0, 1))(a, b):
+        for gradient in slopes_of_align(a, b):
             assert np.isfinite(gradient).all()
 
 

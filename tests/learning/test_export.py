@@ -1,7 +1,6 @@
 """A policy as ONNX: the same answers, what a driver needs, refusals before anything long."""
 
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from forging import rewrite
 from six_axis import write_six_axis
 from typed import refusal
+from typed import typed as type_in
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
@@ -30,7 +30,6 @@ from mjx_grasp.tasks.observation import policy_sizes
 
 onnxruntime = pytest.importorskip("onnxruntime")
 pytest.importorskip("jax2onnx")
-ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = asset_path("policy.npz")
 
 
@@ -38,8 +37,7 @@ SHIPPED = asset_path("policy.npz")
 def typed(tmp_path_factory):
     """The command as a user types it: the file, and what was printed."""
     out = tmp_path_factory.mktemp("export") / "policy.onnx"
-    command = [sys.executable, "-m", "mjx_grasp.export", SHIPPED, "--out", out]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = type_in("export", SHIPPED, "--out", out)
     assert (done.returncode, done.stderr) == (0, "")
     assert [p.name for p in out.parent.iterdir()] == ["policy.onnx"]
     return out, done.stdout

@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 from hypothesis import given
@@ -9,11 +10,13 @@ from mjx_grasp.closing.guidance import goal_frame, guidance_field, twist_norm
 
 CONFIG = GuidanceConfig()
 seeds = st.integers(0, 2**31)
+# Compiled once for the many examples.
+guided, framed = jax.jit(guidance_field, static_argnums=5), jax.jit(goal_frame)
 
 
 def field(x, R, start, goal, goal_R, config=CONFIG):
     args = (jnp.asarray(a, jnp.float32) for a in (x, R, start, goal, goal_R))
-    return np.asarray(guidance_field(*args, config))
+    return np.asarray(guided(*args, config))
 
 
 def expected_field(x, R, start, goal, goal_R):
@@ -117,7 +120,7 @@ def test_goal_frame_turns_the_pad_least(seed):
     R = Rotation.random(random_state=rng).as_matrix()
     n = rng.normal(size=3)
     n /= np.linalg.norm(n)
-    goal = np.asarray(goal_frame(jnp.asarray(R, jnp.float32), jnp.asarray(n, jnp.float32)))
+    goal = np.asarray(framed(jnp.asarray(R, jnp.float32), jnp.asarray(n, jnp.float32)))
     np.testing.assert_allclose(goal @ goal.T, np.eye(3), atol=1e-5)
     np.testing.assert_allclose(goal[:, 0], -n, atol=1e-5)
     least = np.arccos(np.clip(R[:, 0] @ -n, -1, 1))

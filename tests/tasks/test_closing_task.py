@@ -1,3 +1,5 @@
+import copy
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,17 +14,67 @@ from mjx_grasp.tasks.observation import policy_sizes
 from mjx_grasp.tasks.success import failure_classes
 
 QUIET = StartNoise(offset_m=0.0)
-TICKS = 400
+TICKS, WORLDS = 400, 16
+
+
+WHOLE = {}
+"""By their settings, tasks in the scene of the session, which differ in their scripts alone."""
+
+
+def _whole(scene, starts, config, **settings):
+    """A task without a script, and its ticks, compiled once."""
+    task = ClosingTask(ScriptedPhysics(scene, ()), starts, config, QUIET, **settings)
+
+    @jax.jit
+    def ticks(script, draw, action):
+        scripted = _following(task, script)
+
+        def tick(state, _):
+            state, out = scripted.tick(state, action)
+            return state, (state, out)
+
+        return jax.lax.scan(tick, scripted.start(draw)[0], length=TICKS)[1]
+
+    return task, ticks
+
+
+def _following(task, script):
+    """The same task in a world that does what a script says."""
+    task = copy.copy(task)
+    task.physics = ScriptedPhysics(task.physics.scene, script)
+    return task
 
 
 def scripted_task(scene, starts, script, config=None, **settings):
-    return ClosingTask(ScriptedPhysics(scene, script), starts, config, QUIET, **settings)
+    key = config or ClosingTaskConfig(), *settings.items()
+    if key not in WHOLE:
+        WHOLE[key] = _whole(scene, starts, key[0], **settings)
+    whole, ticks = WHOLE[key]
+    task = _following(whole, script)
+    task.ticks = ticks
+    return task
+
+
+def play_script(task, rows, ticks, action):
+    """The same by a script of one length for all, as its last row stays, and of as many worlds."""
+
+    def longer(x):
+        rest = [(0, TICKS - len(x)), (0, WORLDS - len(rows))] + [(0, 0)] * (x.ndim - 2)
+        return jnp.asarray(np.pad(x, rest, mode="edge"))
+
+    script = jax.tree.map(longer, task.physics.script)
+    more = (0, WORLDS - len(rows))
+    draw, action = draw_of(np.pad(rows, more, mode="edge")), jnp.pad(action, (more, (0, 0)))
+    played = task.ticks(script, draw, action)
+    return jax.tree.map(lambda x: np.asarray(x)[:ticks, : len(rows)], played)
 
 
 def play(task, rows, ticks, action=None, state=None):
     """States after each tick, stacked."""
     w = len(rows)
     action = jnp.zeros((w, task.action_size)) if action is None else action
+    if isinstance(task.physics, ScriptedPhysics):
+        return play_script(task, rows, ticks, action)
 
     def tick(state, _):
         state, out = task.tick(state, action)
@@ -395,7 +447,7 @@ def test_what_a_grip_feels_is_what_the_contact_solver_says(starts, native):
     gentle = GripConfig(force=1.0, split="balanced", direction="line", follow=0.05, friction=0.5)
     task = ClosingTask(native, starts, ClosingTaskConfig(grip=gentle), QUIET)
     states, _ = play(task, [0, 1], TICKS)
-    felt = jax.vmap(task.closer.forces)(states.closer, states.measured)
+    felt = jax.jit(jax.vmap(task.closer.forces))(states.closer, states.measured)
     felt, true = (np.linalg.norm(x, axis=-1) for x in (felt, states.truth.finger_force))
     pressed = np.asarray(states.closer.lifting)[..., None] & (true > 0.5)
     assert pressed.mean() > 0.3

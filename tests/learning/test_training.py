@@ -1,4 +1,5 @@
 import csv
+import functools
 import io
 import itertools
 import json
@@ -38,6 +39,14 @@ from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged, train_
 @pytest.fixture(scope="module")
 def env():
     return tiny.make_env()
+
+
+made_once = functools.cache(make_iteration)
+
+
+@pytest.fixture(autouse=True)
+def _loops_of_the_same_settings_compile_once(monkeypatch):
+    monkeypatch.setattr(run_module, "make_iteration", made_once)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.statistics import wilson_interval
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
@@ -94,14 +95,10 @@ def test_a_gentler_policy_is_ranked_higher_and_the_last_line_names_it(tmp_path: 
     assert done.stdout.split()[-1] == "gentle"
 
 
-def test_folders_without_a_common_policy_are_refused(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        _made(tmp_path / name / f"{name}.json", "S", 1.0)
-    done = subprocess.run(
-        [sys.executable, EXPERIMENTS / "choose_policy.py", tmp_path / "a", tmp_path / "b"],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode != 0
-    assert "no policy that is in all folders" in done.stderr + done.stdout
+def test_folders_without_a_common_policy_are_refused(rule: Any, tmp_path: Path) -> None:
+    folders = tuple(tmp_path / name for name in ("a", "b"))
+    for folder in folders:
+        folder.mkdir()
+        _made(folder / f"{folder.name}.json", "S", 1.0)
+    with pytest.raises(FileError, match="no policy that is in all folders"):
+        rule.main(rule.ChooseConfig(folders))

@@ -63,7 +63,7 @@ def tracked(config, steps=30, worlds=2):
     p[..., 0] = 0.001 * np.arange(steps + 1)[:, None]
     turns = np.zeros((steps + 1, worlds, 3), np.float32)
     turns[..., 2] = 0.01 * np.arange(steps + 1)[:, None]
-    R = np.asarray(jax.vmap(jax.vmap(so3.exp))(jnp.asarray(turns)))
+    R = np.asarray(jax.jit(jax.vmap(jax.vmap(so3.exp)))(jnp.asarray(turns)))
     before, faults = start_track(jnp.asarray(p[0]), jnp.asarray(R[0]), DT), Faults.of(config, DT)
     read = jax.jit(track)
     readings = []
@@ -90,7 +90,7 @@ def test_a_late_tracker_tells_what_was():
 def test_noise_has_its_deviation_and_rotations_stay_rotations():
     p, R, read_p, read_R = tracked(TrackerConfig(position=0.005, rotation=0.05), 50, 100)
     np.testing.assert_allclose((read_p - p).std(axis=(0, 1)), 0.005, rtol=0.05)
-    off = jax.vmap(so3.log)(jnp.asarray((R.swapaxes(-1, -2) @ read_R).reshape(-1, 3, 3)))
+    off = jax.jit(jax.vmap(so3.log))(jnp.asarray((R.swapaxes(-1, -2) @ read_R).reshape(-1, 3, 3)))
     np.testing.assert_allclose(np.asarray(off).std(axis=0), 0.05, rtol=0.05)
     np.testing.assert_allclose(read_R @ read_R.swapaxes(-1, -2) - np.eye(3), 0.0, atol=1e-5)
 

@@ -28,7 +28,7 @@ def centres(body, postures):
 
 
 def test_the_hand_is_over_the_object_area_and_about_to_grasp(body, postures):
-    pos, mat = jax.vmap(body.kinematics.forward)(postures)
+    pos, mat = jax.jit(jax.vmap(body.kinematics.forward))(postures)
     tips, pads = np.asarray(pos[:, :FINGERS]), np.asarray(mat[:, FINGERS:PALM, :, 0])
     assert tips[:, :, 2].min() > 0.02
     middle = tips.mean(axis=1)

@@ -45,7 +45,7 @@ def solver(body, config=PLAIN, clearances=NONE):
 def reachable(body):
     """Targets that feasible configurations, unknown to the solver, do reach."""
     q = jnp.asarray(draw_postures(body, PROBLEMS, ObjectArea(), seed=1))
-    motion = jax.vmap(body.kinematics.motion)(q)
+    motion = jax.jit(jax.vmap(body.kinematics.motion))(q)
     return np.asarray(motion.pos[:, :FINGERS]), np.asarray(motion.mat[:, FINGERS:PALM, :, 0]), q
 
 
@@ -53,7 +53,7 @@ def reachable(body):
 def starts(body, reachable):
     """Of each problem the nearest of some other configurations."""
     q = draw_postures(body, 3000, ObjectArea(), seed=0)
-    pos, mat = map(np.asarray, jax.vmap(body.kinematics.forward)(q))
+    pos, mat = map(np.asarray, jax.jit(jax.vmap(body.kinematics.forward))(q))
     ends = (reachable[0], pos[:, :FINGERS]), (reachable[1], mat[:, FINGERS:PALM, :, 0])
     tips, pads = (np.sum((have - want[:, None]) ** 2, axis=(2, 3)) for want, have in ends)
     gap = tips + 0.05**2 * pads
@@ -81,7 +81,8 @@ def test_reachable_targets_are_reached(solution):
 
 
 def test_pads_come_close_to_where_they_should_face(body, reachable, solution):
-    mat = np.asarray(jax.vmap(body.kinematics.forward)(solution.q)[1][:, FINGERS:PALM, :, 0])
+    mat = np.asarray(jax.jit(jax.vmap(body.kinematics.forward))(solution.q)[1])
+    mat = mat[:, FINGERS:PALM, :, 0]
     wanted = np.tile(reachable[1], (RESTARTS, 1, 1))
     angle = np.arccos(np.clip(np.sum(mat * wanted, axis=-1), -1, 1)).max(axis=1)
     assert np.median(angle.reshape(RESTARTS, PROBLEMS).min(axis=0)) < np.radians(15)
@@ -132,7 +133,7 @@ def test_a_problem_that_cannot_be_evaluated_is_not_taken_for_solved(solve, reach
 def test_clearances_move_the_hand_out_of_an_object(body, solve, reachable):
     tips, pads, q = reachable
     # A ball between palm and tips: in the way, though the tips are clear of it.
-    palm = np.asarray(jax.vmap(lambda q: body.kinematics.forward(q)[0][PALM])(q))
+    palm = np.asarray(jax.jit(jax.vmap(lambda q: body.kinematics.forward(q)[0][PALM]))(q))
     p_wo = np.float32(0.35 * tips.mean(axis=1) + 0.65 * palm)
     careful = solver(body, IkConfig(idle_weight=None, clearance_weight=1.0), CLOSE)
     before = np.asarray(solve(tips, pads, q, p_wo).penetration)

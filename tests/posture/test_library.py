@@ -64,7 +64,7 @@ def gaps(library, options, scale):
 
 
 def test_the_library_knows_where_its_configurations_put_tips_and_pads(body, library):
-    pos, mat = jax.vmap(body.kinematics.forward)(library.q)
+    pos, mat = jax.jit(jax.vmap(body.kinematics.forward))(library.q)
     np.testing.assert_allclose(library.tips, pos[:, :FINGERS], atol=1e-5)
     np.testing.assert_allclose(library.pads, mat[:, FINGERS:PALM, :, 0], atol=1e-5)
 
@@ -104,7 +104,7 @@ def test_only_what_is_around_the_object_is_looked_at(body, library, options, aro
 
 def test_overlap_puts_hands_behind_that_would_be_in_the_object(body, library):
     # The goals are exactly where two entries have their tips; the palm of one is in the object.
-    palm = np.asarray(jax.vmap(lambda q: body.palm.forward(q)[0][0])(library.q))
+    palm = np.asarray(jax.jit(jax.vmap(lambda q: body.palm.forward(q)[0][0]))(library.q))
     gap = np.linalg.norm(palm[:, None] - palm, axis=-1)
     clear, hit = np.unravel_index(gap.argmax(), gap.shape)
     two = Library(*(leaf[np.array([hit, clear])] for leaf in library))

@@ -68,7 +68,7 @@ def test_batched_and_looped_agree(body, errors):
 
 def test_fingers_end_where_it_says(body, errors):
     q, contacts = folded(body, 4, 4), pads_of(body, folded(body, 4, 5))
-    closed = np.asarray(jax.vmap(lambda *one: touching(body, *one).q)(q, contacts))
+    closed = np.asarray(jax.jit(jax.vmap(lambda *one: touching(body, *one).q))(q, contacts))
     missing = np.linalg.norm(contacts - pads_of(body, closed), axis=-1)
     np.testing.assert_allclose(missing, np.asarray(errors(q, contacts)), atol=1e-5)
     joints = robot_indices(body.robot).fingers

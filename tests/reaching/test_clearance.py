@@ -28,7 +28,7 @@ def _senseless_plan(reacher, p_wo, R_wo, seed):
     spread = np.where(body.arm, 0.8, 1.2)
     q = body.home + rng.uniform(-spread, spread, (3, 2, len(body.home)))
     q = jnp.asarray(np.clip(q, body.lower + 0.1, body.upper - 0.1), jnp.float32)
-    motion = jax.vmap(jax.vmap(body.kinematics.motion))(q)
+    motion = jax.jit(jax.vmap(jax.vmap(body.kinematics.motion)))(q)
     guide = Guide(
         known=jnp.ones(3, bool),
         q=q,

@@ -115,7 +115,7 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
     """Of controllers that end in the reverse of their order, too."""
     from mjx_grasp.records import journal
 
-    def as_done(over, work, jobs, setup):
+    def as_done(over, work, jobs, setup, kind):
         context = setup()
         for k in reversed(range(len(jobs))):
             yield k, work(context, jobs[k])

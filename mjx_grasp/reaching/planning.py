@@ -98,6 +98,14 @@ class _Try(NamedTuple):
     """the same, than the best of all that can be used"""
 
 
+class _Sought(NamedTuple):
+    """A posture that is looked for."""
+
+    goals: TipGoals
+    near: tuple[Float[Array, " joints"], Float[Array, " joints"]]
+    """where the solver starts, and what it is to stay near [rad]"""
+
+
 class _Wish(NamedTuple):
     """What the scores of candidates ask for where the object lies."""
 
@@ -334,18 +342,16 @@ class Planner:
         """
         body, plan = self.reacher.body, self.config
 
-        def solve(
-            given: tuple[TipGoals, Float[Array, " joints"], Float[Array, " joints"]],
-            steps: Int[Array, ""],
-        ) -> tuple[tuple[TipGoals, Float[Array, " joints"], Float[Array, " joints"]], IkSolution]:
-            goals, start, reference = given
-            clearances = self._clearances
-            found = solve_ik(body, plan.ik, clearances, goals, around, start, reference, steps)
-            return (self._retreated(goals, found.q, around), found.q, found.q), found
+        def solve(sought: _Sought, steps: Int[Array, ""]) -> tuple[_Sought, IkSolution]:
+            found = solve_ik(
+                body, plan.ik, self._clearances, sought.goals, around, *sought.near, steps
+            )
+            retreated = self._retreated(sought.goals, found.q, around)
+            return _Sought(retreated, (found.q, found.q)), found
 
         steps = plan.ik.iterations, plan.retreat_steps or plan.ik.iterations
-        begin = wanted, start, jnp.asarray(body.home)
-        _, found = jax.lax.scan(solve, begin, jnp.array(steps))
+        first = _Sought(wanted, (start, jnp.asarray(body.home)))
+        _, found = jax.lax.scan(solve, first, jnp.array(steps))
         end = jax.tree.map(lambda leaf: leaf[0], found)
         return end, self._guide(found.q, around)
 

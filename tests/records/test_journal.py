@@ -27,7 +27,7 @@ def results(tmp_path):
 def backwards(monkeypatch):
     """Jobs that end in the reverse of their order."""
 
-    def as_done(over, work, jobs, setup):
+    def as_done(over, work, jobs, setup, kind):
         context = setup()
         for k in reversed(range(len(jobs))):
             yield k, work(context, jobs[k])

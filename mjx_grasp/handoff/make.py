@@ -98,11 +98,13 @@ def make_handoffs(
                 progress.update(bars[obj.name], visible=False)
 
         setup = partial(_Making, config, *([show] if config.alone else []))
-        jobs = [(obj.name, obj) for obj in objects]
+        dealt = objects if config.alone else largest_first(objects)
+        jobs = [(obj.name, obj) for obj in dealt]
         progress.update(everything, completed=finished * config.per_object)
         results = journaled(config, _Making.states_of, jobs, setup, journal, show_finished)
-        for obj, found in zip(objects, results, strict=True):
-            for record in found:
+        found = dict(zip((obj.name for obj in dealt), results, strict=True))
+        for obj in objects:
+            for record in found[obj.name]:
                 states, report = from_record(record, obj, robot)
                 sets.append(states)
                 reports.append(report)
@@ -119,6 +121,14 @@ def make_handoffs(
     write_report(config.out.with_suffix(".json"), reports, made, settings, earlier)
     journal.close()
     return merged, reports
+
+
+def largest_first(objects: Sequence[ObjectModel]) -> list[ObjectModel]:
+    """The order in which processes take objects.
+
+    Large ones are seldom within reach and take longest: what is begun late is waited for.
+    """
+    return sorted(objects, key=lambda obj: -float(np.ptp(obj.mesh.vertices, axis=0).max()))
 
 
 class _Making:

@@ -136,6 +136,11 @@ def test_a_killed_run_goes_on_after_the_objects_that_were_finished(
         assert "goes on" not in run(*arguments, out, *flags), change
 
 
+def test_processes_take_the_largest_objects_first():
+    small, large, middle = (load_object(n) for n in ("golf_ball", "cracker_box", "apple"))
+    assert module.largest_first([small, large, middle]) == [large, middle, small]
+
+
 def test_an_object_is_kept_to_the_bit(robot):
     """Without any state, too, and with what was said of it."""
     brick = load_object("foam_brick")

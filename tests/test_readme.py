@@ -195,6 +195,14 @@ def test_the_stages_before_closing_have_their_tables(root):
     assert "61 of 64 objects are lifted, and 20 of 64 before" in detail
 
 
+def test_settings_of_another_file_are_added_once_and_where_there_are_others():
+    column = make_readme.closing_tables.Column
+    policy, light, again, hard = (column(n, {}) for n in ("policy", "1 N", "1 N", "9 N"))
+    groups, more = {"nominal": [policy, light], "hard": [policy]}, {"nominal": [again, hard]}
+    found = make_readme.closing_tables.with_more(groups, more | {"slippery": [hard]})
+    assert found == {"nominal": [policy, light, hard], "hard": [policy]}
+
+
 def test_throughput_is_sorted_by_worlds():
     rows = tuple(ThroughputRow("ppo", "mjx", w, 24, 30.0 * w, 1.5) for w in (8192, 1024))
     table = make_readme.closing_tables.throughput_table([Results(rows, PROVENANCE, {})])

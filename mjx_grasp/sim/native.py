@@ -138,11 +138,8 @@ class NativePhysics(Physics):
 
         there = np.unique(params.object_index[awake]).tolist()
         with self._alone:  # several devices of JAX may call at once, and share the simulations
-            if self._beside == 1:
-                for index in there:
-                    of_object(index)
-            else:
-                list(self._pool.map(of_object, there))
+            each = map if self._beside == 1 else self._pool.map
+            list(each(of_object, there))
         return out
 
     @functools.cached_property

@@ -27,6 +27,7 @@ import speed_tables
 import stage_tables
 import steering_tables
 import tyro
+from paper import PARTS
 from stage_tables import markdown, short_revision
 
 from mjx_grasp.cli import run_command
@@ -68,7 +69,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "grasps": stage_tables.grasps_in_short(scenarios, folder / "grasps_all.json"),
             "results": closing_tables.means(results),
         },
-        root / "docs" / "reproduction.md": {"claims": paper_tables.claims(folder)},
+        root / "docs" / "reproduction.md": {
+            "claims": paper_tables.claims(folder),
+            "times": speed_tables.paper_times(folder / "paper_times.json", PARTS),
+        },
         root / "experiments" / "README.md": {
             "tables": closing_tables.all_conditions(
                 results, sorted((folder / "squeezes").glob("*.json"))
@@ -143,7 +147,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "walls": pipeline_tables.pipeline_ablation(folder / "pipeline_ablation_walls.json"),
             "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
-            "grasper": speed_tables.grasper_speed(folder / "grasper_cpu.json"),
+            "grasper": speed_tables.grasper_speed(
+                [folder / f"grasper_{device}.json" for device in ("cpu", "h200_host")]
+            ),
             "grasper-worlds": speed_tables.grasper_worlds(
                 sorted(folder.glob("grasper_worlds_*.json"))
             ),

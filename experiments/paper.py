@@ -22,6 +22,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import jax
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -29,7 +30,7 @@ from rich.table import Table
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.records.atomic import read_json, write_json
-from mjx_grasp.records.provenance import git_revision, usable_cores
+from mjx_grasp.records.provenance import device_name, git_revision, provenance, usable_cores
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.tasks.assemble import has_gpu
 
@@ -40,7 +41,7 @@ FOLDER = "runs/paper"
 """of what is no result: states and policies on the way, and what is done"""
 STATES = (
     "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
-    f"--max-rounds 4 --objects-dir SCANS --processes CORES --out {FOLDER}/handoffs.npz"
+    f"--max-rounds 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/handoffs.npz"
 )
 END_TO_END = "-m mjx_grasp.train --preset end-to-end --objects-dir SCANS --evaluation-episodes 0"
 AS_PUBLISHED = f"{END_TO_END} --handoffs {FOLDER}/handoffs.npz --scene.physics-dt 0.005"
@@ -144,7 +145,7 @@ PARTS = (
         "tip errors at handoffs that the reaching controller comes to",
         (
             "-m mjx_grasp.handoffs --kind reached --objects eight --objects-dir SCANS "
-            "--per-object 256 --processes CORES --out experiments/results/handoffs_reached.npz",
+            "--per-object 256 --processes SHARERS --out experiments/results/handoffs_reached.npz",
         ),
     ),
     Part(
@@ -177,7 +178,7 @@ PARTS = (
         "success on all objects that have start states, held-out ones too",
         (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96 "
-            "--max-rounds 3 --seed 11 --objects-dir SCANS --processes CORES "
+            "--max-rounds 3 --seed 11 --objects-dir SCANS --processes SHARERS "
             f"--out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 12 "
@@ -281,7 +282,7 @@ class PaperConfig(CommandSettings):
     objects_dir: Path | None = None
     """folder of real scans"""
     state: Path = Path(FOLDER) / "state.json"
-    """where what is done is noted"""
+    """where what is done is noted, and how long it took"""
 
 
 def chosen(names: tuple[str, ...]) -> list[Part]:
@@ -300,6 +301,13 @@ def chosen(names: tuple[str, ...]) -> list[Part]:
 def revision() -> str:
     """The commit; pictures that were made again are no change of the code."""
     return git_revision().removesuffix("-dirty")
+
+
+def machine() -> str:
+    """What this runs on, in words."""
+    device = jax.devices()[0]
+    cores = "" if device.platform == "cpu" else f", {usable_cores()} cores"
+    return f"{device_name(device)}{cores}"
 
 
 def done(state: dict[str, Any], command: str) -> bool:
@@ -339,7 +347,7 @@ def main(config: PaperConfig) -> None:
             console.print(f"[yellow]{part.name} needs a GPU: {part.without_gpu}[/yellow]")
             continue
         todo += [(part.name, c) for c in part.commands if not done(state, c)]
-    began = time.monotonic()
+    began, made = time.monotonic(), provenance(seed=0)
     for k, (name, command) in enumerate(todo):
         left = [state.get(c, {}).get("seconds") for _, c in todo[k:]]
         known = [x for x in left if x is not None]
@@ -351,8 +359,9 @@ def main(config: PaperConfig) -> None:
         state[command] = {
             "git": revision(),
             "seconds": round(time.monotonic() - started, 1),
+            "machine": machine(),
         }
-        write_json(config.state, {"schema": SCHEMA, "commands": state})
+        write_json(config.state, {"schema": SCHEMA, "commands": state, "provenance": made})
     _run(LAST, config.objects_dir, console)
 
 

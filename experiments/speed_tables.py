@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from paper import Part
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation.front_tables import headline
@@ -44,25 +45,45 @@ def heatmap_speed(paths: Sequence[Path]) -> str:
     return markdown(table) if rows else NOTHING
 
 
-def grasper_speed(path: Path) -> str:
-    """How long a tick of the controller and a search for plans take."""
-    d = read(path)
-    if d is None:
-        return NOTHING
+def paper_times(path: Path, parts: Sequence[Part]) -> str:
+    """How long the parts of `experiments/paper.py` took.
+
+    Args:
+        path: What it keeps of its commands, `--state`.
+        parts: All of them.
+    """
+    commands = (read(path) or {"commands": {}})["commands"]
     rows = []
-    for phase, in_loop in d["tick_ms"].items():
-        if in_loop["count"]:
-            times = (in_loop, d["tick_alone_ms"][phase])
-            cells = (f"{s[p]:.2f}" for s in times for p in ("p50", "p99"))
-            rows.append((f"tick, {phase}", str(in_loop["count"]), *cells))
-    s = d["plan_ms"]
-    cells = f"{s['p50']:.0f}", f"{s['p99']:.0f}", "", ""
-    rows.append(("search for plans", str(s["count"]), *cells))
-    header = ("what", "times", "median ms", "99 % ms", "alone: median ms", "alone: 99 % ms")
-    device = d["provenance"]["device"]
-    return f"One world on {device}, physics apart:\n\n" + markdown(
-        Table("Controller", header, tuple(rows))
-    )
+    for part in parts:
+        ran = [commands[command] for command in part.commands if command in commands]
+        if ran:
+            minutes = sum(entry["seconds"] for entry in ran) / 60
+            machines = dict.fromkeys(entry["machine"] for entry in ran)
+            code = dict.fromkeys(short_revision(entry) for entry in ran)
+            counted = f"{len(ran)} of {len(part.commands)}"
+            row = (part.name, counted, f"{minutes:.1f}", "; ".join(machines), ", ".join(code))
+            rows.append(row)
+    header = ("part", "commands", "minutes", "machine", "code")
+    return markdown(Table("Times", header, tuple(rows))) if rows else NOTHING
+
+
+def grasper_speed(paths: Sequence[Path]) -> str:
+    """How long a tick of the controller and a search for plans take, device by device."""
+    rows = []
+    for path in paths:
+        d = read_json(path, "a results file")
+        device = d["provenance"]["device"]
+        for phase, in_loop in d["tick_ms"].items():
+            if in_loop["count"]:
+                times = (in_loop, d["tick_alone_ms"][phase])
+                cells = (f"{s[p]:.2f}" for s in times for p in ("p50", "p99"))
+                rows.append((device, f"tick, {phase}", str(in_loop["count"]), *cells))
+        s = d["plan_ms"]
+        cells = f"{s['p50']:.0f}", f"{s['p99']:.0f}", "", ""
+        rows.append((device, "search for plans", str(s["count"]), *cells))
+    loop, alone = ("median ms", "99 % ms"), ("alone: median ms", "alone: 99 % ms")
+    header = ("device", "what", "times", *loop, *alone)
+    return markdown(Table("Controller", header, tuple(rows), names=2)) if rows else NOTHING
 
 
 def grasper_worlds(paths: Sequence[Path]) -> str:

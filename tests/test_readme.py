@@ -593,15 +593,34 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
 
 def test_the_controllers_time_has_its_table(tmp_path):
     path, table = tmp_path / "grasper.json", make_readme.speed_tables.grasper_speed
-    assert table(path) == make_readme.stage_tables.NOTHING
+    assert table([]) == make_readme.stage_tables.NOTHING
     tick = {"count": 500, "p50": 1.234, "p99": 2.5}
     of_phase = {"reaching": tick, "failed": tick | {"count": 0}}
     alone = dict.fromkeys(of_phase, tick | {"p50": 0.5, "p99": 0.75})
     record = {"tick_ms": of_phase, "tick_alone_ms": alone, "plan_ms": tick}
     path.write_text(json.dumps(record | {"provenance": PROVENANCE}))
-    _, _, _, _, reaching, plans = table(path).splitlines()
-    assert values(reaching) == ["tick, reaching", "500", "1.23", "2.50", "0.50", "0.75"]
-    assert values(plans) == ["search for plans", "500", "1", "2", "", ""]
+    _, _, reaching, plans, *other = table([path, path]).splitlines()
+    device = PROVENANCE["device"]
+    assert values(reaching) == [device, "tick, reaching", "500", "1.23", "2.50", "0.50", "0.75"]
+    assert values(plans) == [device, "search for plans", "500", "1", "2", "", ""]
+    assert other == [reaching, plans]
+
+
+def test_what_the_papers_parts_took_has_its_table(tmp_path):
+    path, table = tmp_path / "times.json", make_readme.speed_tables.paper_times
+    parts = [
+        make_readme.speed_tables.Part("one", "the first", ("a", "b", "c")),
+        make_readme.speed_tables.Part("two", "not timed", ("d",)),
+    ]
+    assert table(path, parts) == make_readme.stage_tables.NOTHING
+    commands = {
+        "a": {"git": "f" * 40, "seconds": 90.0, "machine": "a GPU, 16 cores"},
+        "c": {"git": "0" * 40, "seconds": 33.0, "machine": "a GPU, 16 cores"},
+        "gone": {"git": "0" * 40, "seconds": 1.0, "machine": "another"},
+    }
+    path.write_text(json.dumps({"commands": commands}))
+    _, _, row = table(path, parts).splitlines()
+    assert values(row) == ["one", "2 of 3", "2.0", "a GPU, 16 cores", f"{'f' * 12}, {'0' * 12}"]
 
 
 def test_many_grasps_at_once_have_their_table(tmp_path):

@@ -70,8 +70,7 @@ def paper_times(path: Path, parts: Sequence[Part]) -> str:
 def grasper_speed(paths: Sequence[Path]) -> str:
     """How long a tick of the controller and a search for plans take, device by device."""
     rows = []
-    for path in paths:
-        d = read_json(path, "a results file")
+    for d in filter(None, map(read, paths)):
         device = d["provenance"]["device"]
         for phase, in_loop in d["tick_ms"].items():
             if in_loop["count"]:

@@ -204,6 +204,7 @@ class WarpWorlds:
 
     def _steps(self) -> None:
         for step in range(self._substeps):
+            self.data.overflow.zero_()  # Warp only ever adds to it
             mjw.step(self.model, self.data)
             for name, kept in self._each.items():
                 wp.copy(kept[step], getattr(self.data, name))

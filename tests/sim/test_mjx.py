@@ -167,6 +167,16 @@ def test_full_buffers_are_reported(scene, starts, params, buffers):
     assert truth.overflow.any()
 
 
+def test_a_full_buffer_is_reported_of_its_tick_alone(scene, starts, params):
+    # The robot alone has some twenty rows of constraints.
+    physics = MjxPhysics(scene, len(ROWS), constraints_per_world=26)
+    step, ctrl = jax.jit(physics.step), starts.ctrl[ROWS]
+    held = physics.init(starts.qpos[ROWS], ctrl)
+    away = physics.init(held.qpos.at[:, scene.addresses.object_qpos[2]].add(1.0), ctrl)
+    found = [step(state, params, ctrl)[2].overflow for state in (away, held, away)]
+    assert [bool(flags.any()) for flags in found] == [False, True, False]
+
+
 def test_a_buffer_that_was_full_in_any_physics_step_is_reported(scene, starts, rest, params):
     physics = MjxPhysics(scene, len(ROWS))
 

@@ -133,7 +133,7 @@ class Grasper:
         def force(plan: Plans) -> Float[Array, ""]:
             return force_of_plan(known, seen, plan, targets, grip, self.config)
 
-        return Ways(plans, jax.vmap(force)(plans))
+        return Ways(plans, jax.vmap(force)(plans), seen.p_wo, seen.R_wo, tried.failures)
 
     def start(
         self, measured: Measured, known: Known, seen: Seen, ways: Ways | None = None
@@ -167,8 +167,18 @@ class Grasper:
         )
 
     def adopt(self, state: GraspState, ways: Ways) -> GraspState:
-        """Goes on with new plans for the object's present pose."""
-        return state._replace(reach=self.reacher.adopt(state.reach, ways.plans), ways=ways)
+        """Goes on with new plans, while it reaches: for a grasp that has begun they come too late.
+
+        Where the object is elsewhere than they were made for, or a try has failed since, newer ones
+        are due at once.
+        """
+        reach = self.reacher.adopt(state.reach, ways.plans, ways.p_wo, ways.R_wo)
+        reach = reach._replace(stale=ways.failures != state.tried.failures)
+        reaches = state.phase == Phase.REACHING
+        reach, ways = jax.tree.map(
+            lambda new, old: jnp.where(reaches, new, old), (reach, ways), (state.reach, state.ways)
+        )
+        return state._replace(reach=reach, ways=ways)
 
     def tick(
         self, state: GraspState, measured: Measured, known: Known, seen: Seen
@@ -249,9 +259,10 @@ class Grasper:
         self, measured: Measured, known: Known, seen: Seen, ways: Ways | None
     ) -> ReachState:
         plans = None if ways is None else ways.plans
-        return self.reacher.start(
+        reach = self.reacher.start(
             measured.q, known.candidates, seen.p_wo, seen.R_wo, plans, len(seen.obstacles)
         )
+        return reach if ways is None else reach._replace(planned_p=ways.p_wo, planned_R=ways.R_wo)
 
     def _start_closing(self, measured: Measured) -> ClosingMemory:
         """Before any handoff: of the right shapes, and void."""

@@ -36,6 +36,12 @@ class Ways(NamedTuple):
     """to reach it"""
     force: Float[Array, " p"]
     """F with which the grip of each begins [N]"""
+    p_wo: Float[Array, " 3"]
+    """object origin in world that they were made for [m]"""
+    R_wo: Float[Array, "3 3"]
+    """object rotation that they were made for"""
+    failures: Int[Array, ""]
+    """how many tries had failed then"""
 
 
 class Seen(NamedTuple):

@@ -92,7 +92,7 @@ class ReachState(NamedTuple):
     since: Float[Array, ""]
     """time since it was improved [s]"""
     stale: Bool[Array, ""]
-    """whether the plans no longer fit, and new ones are due"""
+    """whether the plans no longer fit, and new ones are due until they are there"""
     planned_p: Float[Array, " 3"]
     """object origin in world that they were made for [m]"""
     planned_R: Float[Array, "3 3"]
@@ -216,11 +216,20 @@ class Reacher:
         )
         return state if plans is None else self._take(state, plans, state.plan)
 
-    def adopt(self, state: ReachState, plans: Plans) -> ReachState:
-        """Goes on with new plans for the object's present pose; all tries are open again."""
+    def adopt(
+        self, state: ReachState, plans: Plans, p_wo: Float[Array, " 3"], R_wo: Float[Array, "3 3"]
+    ) -> ReachState:
+        """Goes on with new plans; all tries are open again.
+
+        Args:
+            state: Of the last tick.
+            plans: To follow.
+            p_wo: Object origin in world that they were made for, [m].
+            R_wo: Object rotation that they were made for.
+        """
         state = state._replace(
-            planned_p=state.p_wo,
-            planned_R=state.R_wo,
+            planned_p=p_wo,
+            planned_R=R_wo,
             stale=jnp.asarray(False),
             tries=jnp.int32(0),
             best=jnp.full(2, jnp.inf, jnp.float32),
@@ -345,7 +354,8 @@ class Reacher:
         state = self._advance(state, progress, targets.valid, candidates, plans)
         if plans is not None:
             number = plans.candidate.shape[0]
-            state = state._replace(stale=self._stale(state, guide.astray, moves, number))
+            stale = self._stale(state, guide.astray, moves, number)
+            state = state._replace(stale=state.stale | stale)
         tips = aim.motion.pos[:FINGERS]
         return state, ReachTick(velocity, targets, aim.goals.tips, tips, progress.ready, report)
 

@@ -25,11 +25,12 @@ from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.pressing import preloaded
-from mjx_grasp.pipeline.state import Known, Seen, Tried
+from mjx_grasp.pipeline.state import Known, Seen, Tried, Ways
 from mjx_grasp.reaching import admm
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.fields import midpoint
+from mjx_grasp.reaching.guide import no_guide
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.tasks.closing import ClosingTask
@@ -134,6 +135,66 @@ def closing(begun, tick, home, there):
     state, _ = tick(begun, home, seen(p=there))
     assert state.phase == Phase.CLOSING and not state.closing.fresh
     return state
+
+
+def ways_for(home, p=HERE, failures=0, force=2.0):
+    """One plan, whose configurations are those at home; from the pose and the tries it is for."""
+    first, along = jnp.zeros(1, jnp.int32), jnp.array([[0.0, 0.0, 1.0]])
+    guide = jax.tree.map(lambda leaf: leaf[None], no_guide(len(home.q)))
+    plans = Plans(first, along, along, guide)
+    return Ways(plans, jnp.array([force]), jnp.asarray(p), jnp.eye(3), jnp.int32(failures))
+
+
+@pytest.fixture(scope="module")
+def planned(make, home, known):
+    """What adopts plans and ticks, of a grasper that reaches for long and plans anew by 20 mm."""
+    grasper = make(gate=NEVER, replan_moved=0.02)
+    ways = ways_for(home)
+    tick = jax.jit(lambda state, p: grasper.tick(state, home, known, seen(p=p)))
+    return SimpleNamespace(
+        start=grasper.start(home, known, seen(), ways),
+        tick=lambda state, p=HERE: tick(state, jnp.asarray(p)),
+        adopt=jax.jit(grasper.adopt),
+    )
+
+
+def test_new_plans_stay_due_until_they_are_there(planned, home):
+    away = HERE + jnp.array([0.05, 0.0, 0.0])
+    state, done = planned.tick(planned.start)
+    assert not done.plans_due
+    due = []
+    for p in (away, away, HERE, HERE):  # it is moved, and comes back
+        state, done = planned.tick(state, p)
+        due.append(bool(done.plans_due))
+    assert all(due[1:])
+    state = planned.adopt(state, ways_for(home))
+    assert not planned.tick(state)[1].plans_due
+
+
+def test_plans_for_where_the_object_was_are_followed_until_newer_ones_are_there(planned, home):
+    away = HERE + jnp.array([0.05, 0.0, 0.0])
+    state = planned.start
+    for _ in range(2):
+        state, _ = planned.tick(state, away)
+    old = planned.adopt(state, ways_for(home, HERE, force=3.0))
+    assert old.ways.force == 3.0
+    assert planned.tick(old, away)[1].plans_due
+    new = planned.adopt(old, ways_for(home, away))
+    assert not planned.tick(new, away)[1].plans_due
+
+
+def test_plans_that_do_not_know_of_the_last_failure_are_followed_until_newer_ones(planned, home):
+    state = planned.start._replace(retries=jnp.int32(1))
+    before = planned.adopt(state, ways_for(home, failures=0))
+    assert planned.tick(before)[1].plans_due
+    after = planned.adopt(before, ways_for(home, failures=1))
+    assert not planned.tick(after)[1].plans_due
+
+
+def test_plans_that_come_after_the_handoff_change_nothing(planned, home):
+    state = planned.start._replace(phase=jnp.int32(Phase.CLOSING))
+    late = planned.adopt(state, ways_for(home, force=14.0))
+    jax.tree.map(np.testing.assert_array_equal, late, state)
 
 
 @pytest.mark.long

@@ -30,7 +30,7 @@ def plan_again(reacher, search, state, plans, *situation):
 
     def renewed():
         found = jax.vmap(search)(*situation)
-        adopted = jax.vmap(reacher.adopt)(state, found)
+        adopted = jax.vmap(reacher.adopt)(state, found, state.p_wo, state.R_wo)
 
         def chosen(new, old):
             return jnp.where(state.stale.reshape(-1, *[1] * (new.ndim - 1)), new, old)

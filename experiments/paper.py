@@ -12,6 +12,7 @@ READMEs.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shlex
 import subprocess
@@ -30,7 +31,13 @@ from rich.table import Table
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.records.atomic import read_json, write_json
-from mjx_grasp.records.provenance import device_name, git_revision, provenance, usable_cores
+from mjx_grasp.records.provenance import (
+    device_name,
+    git_revision,
+    is_committed,
+    provenance,
+    usable_cores,
+)
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.tasks.assemble import has_gpu
 
@@ -298,11 +305,6 @@ def chosen(names: tuple[str, ...]) -> list[Part]:
     return [part for part in PARTS if not names or part.name in names]
 
 
-def revision() -> str:
-    """The commit; pictures that were made again are no change of the code."""
-    return git_revision().removesuffix("-dirty")
-
-
 def machine() -> str:
     """What this runs on, in words."""
     device = jax.devices()[0]
@@ -310,16 +312,28 @@ def machine() -> str:
     return f"{device_name(device)}{cores}"
 
 
-def done(state: dict[str, Any], command: str) -> bool:
-    """Whether a command has ended well at this revision of the code."""
-    return state.get(command, {}).get("git") == revision()
+def digest_of(scans: Path) -> str:
+    """What tells a folder of scans from another one: its files, by name and size."""
+    files = sorted(path for path in scans.rglob("*") if path.is_file())
+    listed = [f"{path.relative_to(scans).as_posix()} {path.stat().st_size}" for path in files]
+    return hashlib.sha256("\n".join(listed).encode()).hexdigest()
 
 
-def listed(parts: list[Part], state: dict[str, Any]) -> Table:
+def done(state: dict[str, Any], command: str, scans: Path | None) -> bool:
+    """Whether a command has ended well at this revision of the code, with these scans.
+
+    With uncommitted changes nothing has, as the revision does not know them.
+    """
+    entry, git = state.get(command, {}), git_revision()
+    same = scans is None or entry.get("scans") == digest_of(scans)
+    return entry.get("git") == git and same and is_committed(git)
+
+
+def listed(parts: list[Part], state: dict[str, Any], scans: Path | None) -> Table:
     """What there is."""
     table = Table("part", "what of the publication", "commands done", "s, before", box=None)
     for part in parts:
-        ready = sum(done(state, command) for command in part.commands)
+        ready = sum(done(state, command, scans) for command in part.commands)
         before = [state[c]["seconds"] for c in part.commands if c in state]
         seconds = f"{sum(before):.0f}" if before else "?"
         shown = part.shows + (" (needs a GPU)" if part.without_gpu else "")
@@ -336,20 +350,22 @@ def main(config: PaperConfig) -> None:
         raise FileError(config.state, f"schema {kept.get('schema')!r}", SCHEMA)
     state: dict[str, Any] = kept.get("commands", {})
     if config.list:
-        Console().print(listed(parts, state))
+        Console().print(listed(parts, state, config.objects_dir))
         return
     if config.objects_dir is None or not config.objects_dir.is_dir():
         found = str(config.objects_dir) if config.objects_dir else "nothing"
         raise InputError("--objects-dir", found, "the folder of the scans")
-    todo = []
+    todo: dict[str, str] = {}
     for part in parts:
         if part.without_gpu and not has_gpu():
             console.print(f"[yellow]{part.name} needs a GPU: {part.without_gpu}[/yellow]")
             continue
-        todo += [(part.name, c) for c in part.commands if not done(state, c)]
+        for command in part.commands:
+            if not done(state, command, config.objects_dir):
+                todo.setdefault(command, part.name)  # two parts may share one
     began, made = time.monotonic(), provenance(seed=0)
-    for k, (name, command) in enumerate(todo):
-        left = [state.get(c, {}).get("seconds") for _, c in todo[k:]]
+    for k, (command, name) in enumerate(todo.items()):
+        left = [state.get(c, {}).get("seconds") for c in list(todo)[k:]]
         known = [x for x in left if x is not None]
         guess = f", about {sum(known) / 60:.0f} min left" if len(known) == len(left) else ""
         spent = (time.monotonic() - began) / 60
@@ -357,7 +373,8 @@ def main(config: PaperConfig) -> None:
         started = time.monotonic()
         _run(command, config.objects_dir, console)
         state[command] = {
-            "git": revision(),
+            "git": git_revision(),
+            "scans": digest_of(config.objects_dir),
             "seconds": round(time.monotonic() - started, 1),
             "machine": machine(),
         }
@@ -377,8 +394,9 @@ def going_on(words: list[str]) -> list[str]:
         return words
     begun = folder / "provenance.json"
     made = read_json(begun, "the provenance of a run") if begun.exists() else {}
-    git = made.get("git", "").removesuffix("-dirty")
-    if git == revision() and made.get("command") == shlex.join(["python", *words]):
+    git = git_revision()
+    same = made.get("command") == shlex.join(["python", *words]) and made.get("git") == git
+    if same and is_committed(git):
         return [*words[:2], "--resume", os.path.relpath(folder, ROOT)]
     names = (folder.with_name(f"{folder.name}.before-{k}") for k in count(1))
     folder.rename(next(name for name in names if not name.exists()))

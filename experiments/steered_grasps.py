@@ -259,6 +259,11 @@ class Steered:
         self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))
         self._grasper = functools.cache(self._new_grasper)
 
+    @property
+    def meshes(self) -> dict[str, str]:
+        """What tells the objects' meshes from others of the same names."""
+        return {obj.name: obj.content_hash for obj in self._objects}
+
     def jobs(self) -> list[tuple[str, int]]:
         """Each way, and the first trial of each part of them."""
         return [(way, k) for way in WAYS for k in range(0, len(self._places), _TOGETHER)]
@@ -301,12 +306,13 @@ def main(config: SteeredConfig) -> None:
     made = provenance(config.seed)
     policy = closing_policy("policy", None, load_robot())
     identity = {"schema": SCHEMA, "config": to_record(unspread(config))}
-    identity |= {"sha256": file_digests(policy=policy)}
-    journal = Journal(config.out, identity, made["git"])
+    identity |= {"sha256": file_digests(policy=policy), "device": jax.default_backend()}
     rows: list[dict[str, Any]] = []
     with counting_progress(Console(stderr=True)) as bar:
         one = bar.add_task("", total=_PERCENT, visible=config.alone)
         own = Steered(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
+        identity["meshes"] = own.meshes
+        journal = Journal(config.out, identity, made["git"])
         jobs = own.jobs()
         parts = bar.add_task("parts of the trials", total=len(jobs))
         setup = (lambda: own) if config.alone else functools.partial(Steered, config)

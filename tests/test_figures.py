@@ -560,12 +560,13 @@ def paper(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "PARTS", parts)
     monkeypatch.setattr(module, "LAST", f"{note}('L')\"")
     monkeypatch.setattr(module, "has_gpu", lambda: False)
-    monkeypatch.setattr(module, "revision", lambda: "abc")
+    monkeypatch.setattr(module, "git_revision", lambda: "abc")
     return SimpleNamespace(module=module, passes=passes, ran=ran)
 
 
 def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_path, capsys):
-    module, scans = paper.module, tmp_path
+    module, scans = paper.module, tmp_path / "scans"
+    scans.mkdir()
     config = module.PaperConfig(objects_dir=scans, state=tmp_path / "state.json")
     with pytest.raises(MjxGraspError, match=r"ended with 1; .* the same command goes on"):
         module.main(config)
@@ -576,10 +577,33 @@ def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_
     assert paper.ran.read_text() == "12L"
     module.main(replace(config, parts=("one",)))
     assert paper.ran.read_text() == "12LL"
-    module.revision = lambda: "another"
+    module.git_revision = lambda: "another"
     module.main(replace(config, parts=("one",)))
     assert paper.ran.read_text() == "12LL12L"
     assert "0 min left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["scans", "uncommitted"])
+def test_what_the_paper_has_done_is_of_these_scans_and_all_of_the_code(paper, tmp_path, what):
+    module, scans = paper.module, tmp_path / "scans"
+    scans.mkdir()
+    config = module.PaperConfig(parts=("one",), objects_dir=scans, state=tmp_path / "state.json")
+    if what == "uncommitted":
+        module.git_revision = lambda: "abc-dirty"
+    module.main(config)
+    if what == "scans":
+        (scans / "new.stl").touch()
+    module.main(config)
+    assert paper.ran.read_text() == "12L12L"
+
+
+def test_a_command_that_two_parts_of_the_paper_share_runs_once(paper, tmp_path, monkeypatch):
+    module = paper.module
+    one, *others = module.PARTS
+    monkeypatch.setattr(module, "PARTS", (one, replace(one, name="too"), *others))
+    chosen = ("one", "too")
+    module.main(module.PaperConfig(chosen, objects_dir=tmp_path, state=tmp_path / "s" / "n.json"))
+    assert paper.ran.read_text() == "12L"
 
 
 def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path, monkeypatch):
@@ -635,7 +659,7 @@ def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
     assert module.going_on(words) == words, "nothing was begun in it"
     (folder / "config.json").write_text("{}")
     begun = folder / "provenance.json"
-    made = {"git": "abc-dirty", "command": f"python {' '.join(words)}"}
+    made = {"git": "abc", "command": f"python {' '.join(words)}"}
     begun.write_text(json.dumps(made))
     assert module.going_on(words) == ["-m", "mjx_grasp.train", "--resume", "runs/paper/seed0"]
     other = ["experiments/x.py", "--out", "runs/paper/seed0"]
@@ -643,6 +667,7 @@ def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
 
     others = (
         json.dumps(made | {"git": "abd"}),
+        json.dumps(made | {"git": "abc-dirty"}),
         json.dumps(made | {"command": "python -m mjx_grasp.train"}),
         None,  # killed before it said anything
     )

@@ -327,8 +327,10 @@ def _check_posture(
         joint = model.joint(name)
         if joint.type[0] not in _SCALAR_JOINTS:
             raise InputError(f"{field} ({name})", "a free or ball joint", "a hinge or slide joint")
+        if not model.jnt_limited[joint.id]:
+            raise InputError(f"{field} ({name})", "a joint without limits", "a `range` in the MJCF")
         low, high = joint.range
-        if model.jnt_limited[joint.id] and not low <= angle <= high:
+        if not low <= angle <= high:
             raise InputError(f"{field} ({name})", angle, f"within [{low:.6g}, {high:.6g}]")
 
 

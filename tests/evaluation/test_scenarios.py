@@ -515,16 +515,19 @@ def test_scenarios_that_were_killed_lose_no_part_and_the_file_holds_whole_ones(q
     assert ("1 parts of the trials" in said) == (runs != 2)
     assert quick.ran == [(1.0, 0), (1.0, 1), (3.0, 0), (3.0, 1)], "none twice"
     found = json.loads(out.read_text())
-    assert set(found) == {"schema", "config", "scenarios", "sha256", "provenance"}
+    made = {"config", "sha256", "device", "robot", "provenance"}
+    assert set(found) == {"schema", "scenarios"} | made
     for of in found["scenarios"].values():
-        assert set(of) == {"settings", "seconds", "all", "objects", "rows"}
+        assert set(of) == {"settings", "meshes", "seconds", "all", "objects", "rows"}
         assert of["all"]["trials"] == len(of["rows"]) == 4
     assert list(out.parent.iterdir()) == [out]
     quick.run()
     assert len(quick.ran) == 4, "nothing is left"
 
 
-@pytest.mark.parametrize("other", ["seed", "policy", "scenario", "revision", "uncommitted"])
+@pytest.mark.parametrize(
+    "other", ["seed", "policy", "scenario", "mesh", "revision", "uncommitted"]
+)
 def test_scenarios_of_other_settings_files_or_code_are_run_again(
     quick, other, tmp_path, monkeypatch
 ):
@@ -546,6 +549,8 @@ def test_scenarios_of_other_settings_files_or_code_are_run_again(
     elif other == "scenario":
         quick.windy.write_text("push: {force: 2.0}\nhold_s: 3\n")
         again = again[2:]
+    elif other == "mesh":
+        monkeypatch.setattr(job._Grasps, "meshes", lambda self, scenario: {"rubiks_cube": "other"})
     elif other == "revision":
         revision = "abd"
     quick.run(config)

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
@@ -57,6 +58,10 @@ class _Grasps:
         except InputError as error:
             raise InputError(f"{name}: {error.field}", error.found, error.expected) from None
 
+    def meshes(self, scenario: Scenario) -> dict[str, str]:
+        """What tells its objects' meshes from others of the same names."""
+        return {obj.name: obj.content_hash for obj in self.makers.objects(scenario)}
+
     def part(self, job: tuple[Scenario, Part]) -> dict[str, Any]:
         """What came of a part of a scenario."""
         scenario, part = job
@@ -81,7 +86,6 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     """
     check_writable("--out", config.out)
     scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
-    about = {name: {"settings": to_record(scenario)} for name, scenario in scenarios.items()}
     name, found = "", list[dict[str, Any]]()  # the scenario whose turn it is, its finished parts
     with counting_progress(console) as bar:
 
@@ -90,7 +94,12 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
 
         own = _Grasps(config, show)
         header = {"schema": SCHEMA, "config": to_record(unspread(config))}
-        header |= {"sha256": file_digests(policy=own.file)}
+        header |= {"sha256": file_digests(policy=own.file), "device": jax.default_backend()}
+        header |= {"robot": to_record(load_robot(config.robot).identity)}
+        about = {
+            name: {"settings": to_record(scenario), "meshes": own.meshes(scenario)}
+            for name, scenario in scenarios.items()
+        }
         done = _before(config.out, header, made["git"], about)
         parts = own.makers.parts()
         left = [name for name in scenarios if name not in done]

@@ -38,6 +38,7 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.journal import goes_on
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
 
@@ -165,8 +166,10 @@ def trained(setting: Setting, config: DevicesConfig) -> dict[str, Any]:
 def _seeing(setting: Setting, process: int, lines: list[list[str]]) -> dict[str, str]:
     """The environment of a process, which sees its own GPUs alone."""
     count = setting.devices
-    own = range(count) if len(lines) == 1 else [process]
-    return os.environ | {"CUDA_VISIBLE_DEVICES": ",".join(map(str, own))}
+    given = os.environ.get("CUDA_VISIBLE_DEVICES")
+    names = given.split(",") if given else [str(k) for k in range(count)]
+    own = names[:count] if len(lines) == 1 else [names[process]]
+    return os.environ | {"CUDA_VISIBLE_DEVICES": ",".join(own)}
 
 
 def _ended(running: list[subprocess.Popen], deadline: float) -> str:
@@ -218,7 +221,8 @@ def main(config: DevicesConfig) -> None:
     record: dict[str, Any] = {"schema": SCHEMA, "settings": same, "rows": [], "provenance": made}
     if config.out.exists():
         before = read_json(config.out, "speeds on several devices")
-        if before.get("settings") == same and before["provenance"]["git"] == made["git"]:
+        again = goes_on(before, {"schema": SCHEMA, "settings": same}, made["git"])
+        if again and before["provenance"]["device"] == made["device"]:
             record = before
     done = {row["name"] for row in record["rows"]}
     with counting_progress(Console(stderr=True)) as bar:

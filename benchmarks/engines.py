@@ -26,7 +26,7 @@ from jaxtyping import Array
 from mjx_grasp.cli import run_command
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Several
 from mjx_grasp.robot.spec import load_robot
@@ -116,6 +116,7 @@ def measure(
 
 def main(config: EnginesConfig) -> None:
     """Measures, writes the file after each setting, prints the table."""
+    check_writable("--out", config.out)
     scene = build_scene_of(config.objects, config.objects_dir, load_robot(), config.scene)
     stored = load_handoffs(
         config.handoffs or shipped_handoffs(config.objects_dir), robot=scene.robot

@@ -152,6 +152,7 @@ def _run(
     started = time.perf_counter()
     advance = jax.jit(partial(segment, grasper, physics)).lower(worlds, params, known).compile()
     jax.block_until_ready(advance(worlds, params, known))  # Warp makes its arrays and graph
+    jax.block_until_ready(anew(worlds, key, everyone[:1]))
     compile_s = time.perf_counter() - started
 
     tick_s, phases, replans, replan_s, middle = [], [], 0, 0.0, worlds

@@ -36,7 +36,7 @@ from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import steer, steer_many
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.records.atomic import replacing, write_json
+from mjx_grasp.records.atomic import check_writable, replacing, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count
 from mjx_grasp.robot.spec import load_robot
@@ -228,11 +228,12 @@ def measure(config: BenchmarkConfig) -> dict[str, Any]:
     }
     if not config.skip_reference:
         ratios = [r["times_faster"] for r in per_scan if r["vertices"] > 2000]
-        document["summary"]["times_faster_than_reference"] = {
-            "of_scans_with_over_2000_vertices": len(ratios),
-            "median": statistics.median(ratios),
-            "least": min(ratios),
-        }
+        if ratios:
+            document["summary"]["times_faster_than_reference"] = {
+                "of_scans_with_over_2000_vertices": len(ratios),
+                "median": statistics.median(ratios),
+                "least": min(ratios),
+            }
     if jax.default_backend() == "cpu":
         document["peak_memory_bytes"] = {str(n): peak_memory(n) for n in config.growth[-1:]}
     return document
@@ -282,6 +283,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
 
 def main(config: BenchmarkConfig) -> None:
     """Measures, writes the file and the plot, prints the summary."""
+    check_writable("--out", config.out)
     document = measure(config)
     write_json(config.out, document)
     draw(document, config.plot or config.out.with_suffix(".png"))

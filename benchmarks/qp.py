@@ -35,7 +35,7 @@ from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
 from mjx_grasp.reaching.qp import QP, WarmStart, scales, solve_qp
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Several
 from mjx_grasp.robot.spec import load_robot
@@ -215,6 +215,7 @@ def measure(config: QpBenchmarkConfig, problems: QP, warm: WarmStart) -> dict[st
 
 def main(config: QpBenchmarkConfig) -> None:
     """Measures, prints, writes."""
+    check_writable("--out", config.out)
     result: dict[str, Any] = {"provenance": provenance(config.seed)}
     for name in ("paper", "default"):
         result[name] = measure(config, *drawn(name, config))

@@ -40,7 +40,7 @@ from mjx_grasp.posture.body import FINGERS, robot_body
 from mjx_grasp.reaching.controller import Plans, Reacher
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep, reach_preset
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Range, Seed, Several
 from mjx_grasp.robot.mjcf import robot_mjspec
@@ -287,6 +287,7 @@ def plans_of(
 
 def main(config: ReachBenchmarkConfig) -> None:
     """Measures, prints each row, writes the file after each."""
+    check_writable("--out", config.out)
     body = robot_body(load_robot())
     most = max(*config.worlds, config.reaches)
     poses = draw_poses(most, config.seed)

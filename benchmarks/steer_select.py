@@ -33,7 +33,7 @@ from mjx_grasp.grasp.targets import Targets
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer
 from mjx_grasp.objects.model import load_object
-from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
@@ -130,6 +130,7 @@ def median_ms(run: Callable[[Worlds], Targets], worlds: Worlds, repeats: int) ->
 
 def main(config: SteerSelectConfig) -> None:
     """Measures, prints, writes."""
+    check_writable("--out", config.out)
     obj = load_object(config.object, None)
     heatmap = jax.tree.map(jnp.asarray, heatmap_of(obj, load_robot().hand))
     one, host = in_one(heatmap, config.candidates), over_the_host(heatmap, config.candidates)

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import statistics
 import time
 from collections.abc import Callable
@@ -42,6 +43,7 @@ from brax.training.agents.ppo import networks
 from jax.sharding import Mesh
 
 from mjx_grasp.cli import run_command
+from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
@@ -50,6 +52,7 @@ from mjx_grasp.learning.brax_env import EPISODE_FIELDS, BraxTask
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import AXIS, Devices
 from mjx_grasp.learning.memory import bytes_per_world
+from mjx_grasp.records.atomic import check_writable
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed
 from mjx_grasp.robot.spec import load_robot
@@ -363,13 +366,26 @@ def throughput_rows(details: list[dict[str, Any]]) -> list[ThroughputRow]:
     ]
 
 
+def setting_of(word: str) -> tuple[int, int]:
+    """Worlds and unroll.
+
+    Raises:
+        InputError: It says something else.
+    """
+    found = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", word)
+    if found is None:
+        raise InputError("--settings and --sizes", word, "WORLDSxUNROLL")
+    return int(found[1]), int(found[2])
+
+
 def main(config: BenchmarkConfig) -> None:
     """Measures, prints each setting and writes the file after each of them."""
+    check_writable("--out", config.out)
     # As `find_devices` does for several; now, as a change of it compiles everything anew.
     jax.config.update("jax_use_shardy_partitioner", False)
     details = []
     # Ascending: the peak of memory is that of the process so far.
-    pairs = {tuple(map(int, s.split("x"))): s for s in (*config.sizes, *config.settings)}
+    pairs = {setting_of(word): word for word in (*config.sizes, *config.settings)}
     for (worlds, unroll), setting in sorted(pairs.items()):
         details.append(measure(config, worlds, unroll, layers=setting in config.settings))
         print(json.dumps(details[-1], indent=1), flush=True)

@@ -136,29 +136,6 @@ def about_holding_force(
     return across / (2 * config.friction) + straight + turning + tilting + rolling
 
 
-@full_precision
-def worst_holding_force(
-    contact: Float[Array | np.ndarray, "3 3"],
-    inward: Float[Array | np.ndarray, "3 3"],
-    load: Load,
-    disturbance: float,
-    config: ContactConfig,
-) -> Float[Array, ""]:
-    """The same with a push that may come from any side: the most over 14 directions of it [N].
-
-    Args:
-        contact: Points on the surface [m].
-        inward: Unit normals there, into the object.
-        load: What has to be balanced besides.
-        disturbance: Size of the push, as a share of the load; it acts through the same point [-].
-        config: Friction.
-    """
-    push = jnp.asarray(load.force)
-    pushed = push + disturbance * norm(push) * jnp.asarray(_DIRECTIONS)
-    forces = jax.vmap(lambda f: holding_force(contact, inward, Load(f, load.point), config))(pushed)
-    return jnp.max(forces)
-
-
 def _held_load(
     arm: Float[Array, "3 3"],
     inward: Float[Array, "3 3"],
@@ -245,12 +222,3 @@ def _complement(direction: Float[Array, " 6"]) -> Float[Array, "6 5"]:
     mirror = direction + sign * jnp.eye(6)[0]
     reflection = jnp.eye(6) - 2.0 * jnp.outer(mirror, mirror) / jnp.sum(mirror**2)
     return reflection[:, 1:]
-
-
-def _directions() -> Float[np.ndarray, "14 3"]:
-    faces = np.concatenate([np.eye(3), -np.eye(3)])
-    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) / np.sqrt(3.0)
-    return np.concatenate([faces, corners]).astype(np.float32)
-
-
-_DIRECTIONS = _directions()

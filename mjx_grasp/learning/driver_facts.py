@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,19 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
         "policy": {k: v for k, v in policy.meta.items() if k != "task"} | file_digests(sha256=file),
         "exported": {"command": command_line(), "git": git_revision(), "versions": versions()},
     }
-    return {name: json.dumps(fact) for name, fact in facts.items()}
+    return {name: json.dumps(_finite(fact), allow_nan=False) for name, fact in facts.items()}
+
+
+def _finite(fact: Any) -> Any:
+    """The same with null for what is infinite, which JSON does not know: no limit."""
+    match fact:
+        case dict():
+            return {name: _finite(value) for name, value in fact.items()}
+        case list() | tuple():
+            return [_finite(value) for value in fact]
+        case float() if not math.isfinite(fact):
+            return None
+    return fact
 
 
 def _joints(segments: Sequence[Segment], unit: str) -> tuple[str, ...]:
@@ -72,12 +85,13 @@ def joint_facts(robot: RobotSpec) -> list[dict[str, Any]]:
     facts = []
     for name, velocity in zip(robot.joints, robot.velocity_limits, strict=True):
         actuator, joint = model.actuator(name), model.joint(name)
+        limited = model.actuator_forcelimited[actuator.id]
         facts.append(
             {
                 "name": name,
                 "kp_n_m_per_rad": float(actuator.gainprm[0]),
                 "kv_n_m_s_per_rad": -float(actuator.biasprm[2]),
-                "torque_limit_n_m": actuator.forcerange.tolist(),
+                "torque_limit_n_m": actuator.forcerange.tolist() if limited else None,
                 "position_limit_rad": joint.range.tolist(),
                 "velocity_limit_rad_per_s": velocity,
             }

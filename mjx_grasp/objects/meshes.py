@@ -70,7 +70,7 @@ def repair(
     mesh.remove_unreferenced_vertices()
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     start = len(faces)
-    faces = _without_degenerate(vertices, faces)
+    faces = _without_degenerate(faces)
     dropped = start - len(faces)
     for _ in range(_ROUNDS):
         kept = _without_crowded_edges(faces)
@@ -160,7 +160,7 @@ def _is_manifold(faces: np.ndarray) -> bool:
     return bool((counts == 2).all())
 
 
-def _without_degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _without_degenerate(faces: np.ndarray) -> np.ndarray:
     """Faces with three different vertices, each set of vertices once.
 
     Slivers of no area stay: they close the surface, and taking them out would open it.

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -215,7 +216,8 @@ def _derived(
             for done in as_completed(futures):
                 name = futures[done]
                 known[name] = done.result()
-                _write_cache(entries[name], *known[name])
+                with suppress(OSError):  # where nothing can be kept, it is worked out again
+                    _write_cache(entries[name], *known[name])
                 missing.remove(name)
                 progress.update(bar, advance=1, description=_working_on(missing, cores))
         finally:

@@ -54,7 +54,7 @@ class GrasperConfig(Settings):
     across_walls: NonNegative = 1.4
     """times the force by the known weight with which a thin wall is gripped at least once the lift
     is due, whatever a policy says: with less the object turns before it is felt [-]"""
-    timeout_s: PositiveOrNever = 30.0
+    timeout_s: Positive = 30.0
     """from the start to the end of the lift [s]"""
     servo: ServoConfig = ServoConfig()
     """of the joints"""

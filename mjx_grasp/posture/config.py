@@ -73,6 +73,9 @@ class StartConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.count > self.near:
+            expected = f"at most near, {self.near}: the starts are some of those"
+            raise InputError(self.name_of("count"), self.count, expected)
         if self.overlap_weight > 0 and self.count > self.ranked:
             expected = f"at most ranked, {self.ranked}: the starts are some of those"
             raise InputError(self.name_of("count"), self.count, expected)

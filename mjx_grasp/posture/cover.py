@@ -143,7 +143,8 @@ def cells(points: list[Part]) -> list[list[int]]:
     at = np.array([point.start for point in points])
     extent = np.ptp(at, axis=0)
     parts = np.maximum(np.ceil(extent / _CELL), 1).astype(int)
-    cell = np.minimum((parts * (at - at.min(axis=0)) / extent).astype(int), parts - 1)
+    share = (at - at.min(axis=0)) / np.where(extent > 0, extent, 1.0)
+    cell = np.minimum((parts * share).astype(int), parts - 1)
     index = np.ravel_multi_index(tuple(cell.T), tuple(parts))
     return [np.flatnonzero(index == k).tolist() for k in np.unique(index)]
 

@@ -199,7 +199,7 @@ class Planner:
             tries += [_Try(least) for least in wider[:-1]]
             tries += [_Try(least, only) for least in wider[-1:] for only in twice]
             begins = jnp.array([0, len(twice), len(tries) - len(twice)])
-            begin = begins[jnp.minimum(failures, 2)]
+            begin = jnp.minimum(begins[jnp.minimum(failures, 2)], len(tries) - 1)
         least = jnp.stack([jnp.asarray(one.least) for one in tries])
         only_light = jnp.array([one.light for one in tries])
         only_easy = jnp.array([one.easy for one in tries])

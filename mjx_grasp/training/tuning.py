@@ -307,6 +307,9 @@ def train(folder: str, flags: list[str], cwd: str) -> None:
     if finished(at):
         return
     if at.exists() and not (at / "provenance.json").exists():
+        opened = ("config.json", "handoffs", ".")
+        if others := sorted(p.name for p in at.iterdir() if not p.name.startswith(opened)):
+            raise FileError(at, f"{others[0]} and no training", "a training, or no such folder")
         shutil.rmtree(at)  # cut short while it was opened
     argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
     shown = [os.path.relpath(word) if word == folder else word for word in argv]

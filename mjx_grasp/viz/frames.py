@@ -163,18 +163,18 @@ def write_gif(
         InputError: Even the smallest setting is larger than `max_bytes`.
     """
     size = 0
-    # Fewer pictures cost less to the eye than smaller ones, down to about ten a second.
-    for scale, colours, least_fps in (
-        (1.0, 192, 20), (1.0, 128, 12.5), (0.75, 128, 12.5), (0.6, 96, 10), (0.4, 64, 8)
-    ):  # fmt: skip
-        stride = max(1, round(fps / least_fps))
-        with replacing(path) as temporary:
+    with replacing(path) as temporary:
+        # Fewer pictures cost less to the eye than smaller ones, down to about ten a second.
+        for scale, colours, least_fps in (
+            (1.0, 192, 20), (1.0, 128, 12.5), (0.75, 128, 12.5), (0.6, 96, 10), (0.4, 64, 8)
+        ):  # fmt: skip
+            stride = max(1, round(fps / least_fps))
             _save_gif(temporary, pictures[::stride], fps / stride, scale, colours)
             size = temporary.stat().st_size
-        if size <= max_bytes:
-            return
-    Path(path).unlink()
-    raise InputError("max_mb", max_bytes / 1e6, f"at least {size / 1e6:.2f} MB for this motion")
+            if size <= max_bytes:
+                return
+        expected = f"at least {size / 1e6:.2f} MB for this motion"
+        raise InputError("max_mb", max_bytes / 1e6, expected)
 
 
 def _save_gif(

@@ -525,9 +525,7 @@ def test_scenarios_that_were_killed_lose_no_part_and_the_file_holds_whole_ones(q
     assert len(quick.ran) == 4, "nothing is left"
 
 
-@pytest.mark.parametrize(
-    "other", ["seed", "policy", "scenario", "mesh", "revision", "uncommitted"]
-)
+@pytest.mark.parametrize("other", ["seed", "policy", "scenario", "mesh", "revision", "uncommitted"])
 def test_scenarios_of_other_settings_files_or_code_are_run_again(
     quick, other, tmp_path, monkeypatch
 ):

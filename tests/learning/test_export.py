@@ -19,11 +19,12 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.learning import export
 from mjx_grasp.learning.controller import load_controller, policy_task
-from mjx_grasp.learning.driver_facts import budget_facts, joint_facts
+from mjx_grasp.learning.driver_facts import _finite, budget_facts, joint_facts
 from mjx_grasp.learning.export import ExportConfig, export_policy, trial_observations
 from mjx_grasp.learning.numpy_policy import NumpyPolicy
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.settings import from_record, to_record
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.tasks.config import ClosingTaskConfig
 from mjx_grasp.tasks.layout import Segment, observation_layout
 from mjx_grasp.tasks.observation import policy_sizes
@@ -123,6 +124,13 @@ def test_gains_are_those_of_the_mjcf(robot):
     assert finger["torque_limit_n_m"] == [-0.6, 0.6]
     assert (arm["kp_n_m_per_rad"], arm["kv_n_m_s_per_rad"]) == (3000.0, 200.0)
     assert arm["position_limit_rad"] == pytest.approx([-2.8798, 2.8798])
+
+
+def test_what_has_no_limit_is_null(tmp_path):
+    (joint, *_) = joint_facts(load_robot(write_six_axis(tmp_path)))
+    assert joint["torque_limit_n_m"] is None
+    infinite = {"task": {"within": float("inf"), "terms": (1.0, float("-inf"))}}
+    assert _finite(infinite) == {"task": {"within": None, "terms": [1.0, None]}}
 
 
 def test_the_range_of_budgets_is_the_trainings_own_where_it_says_so(robot):

@@ -278,6 +278,13 @@ def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
     assert len(trainings) == 1, "it is finished"
 
 
+def test_a_folder_that_holds_something_else_stays(tmp_path, trainings):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(FileError, match=r"notes\.txt and no training"):
+        tuning.train(str(tmp_path), ["--seed", "1"], os.getcwd())
+    assert not trainings and (tmp_path / "notes.txt").read_text() == "mine"
+
+
 def metrics(folder, success, force):
     folder.mkdir(parents=True)
     with (folder / "metrics.csv").open("w", newline="") as stream:

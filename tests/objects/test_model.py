@@ -161,6 +161,13 @@ def test_a_scan_that_is_missing_or_open_is_refused(scans, cache):
         load_object("mug", scans, cache)
 
 
+def test_where_no_pieces_can_be_kept_they_are_worked_out_again(tmp_path, derivations):
+    (tmp_path / "file").touch()
+    for count in (1, 2):
+        assert load_object("foam_brick", cache_dir=tmp_path / "file" / "cache").pieces
+        assert len(derivations) == count
+
+
 def test_a_stand_in_needs_no_files(cache, derivations):
     brick = load_object("foam_brick", cache_dir=cache)
     assert brick.source == "parametric"

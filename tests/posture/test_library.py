@@ -137,6 +137,11 @@ def test_batched_is_looped_and_jit_is_eager(body, library, options, around):
         np.testing.assert_array_equal(batched.q[k], single.q)
 
 
+def test_more_starts_than_entries_that_are_compared_are_refused() -> None:
+    with pytest.raises(InputError, match=r"count.*at most near, 3"):
+        StartConfig(near=3, count=4)
+
+
 def test_more_starts_than_are_ranked_are_refused() -> None:
     assert StartConfig(count=12, overlap_weight=2.0, ranked=12).count == 12
     assert StartConfig(count=13, ranked=12).count == 13  # nothing is ranked by its overlap

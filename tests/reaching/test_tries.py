@@ -183,6 +183,20 @@ def test_once_a_wish_is_given_up_what_is_nearer_to_it_may_still_be_preferred(wei
 
 
 @pytest.mark.wrong_types
+@pytest.mark.parametrize("failures", [0, 1, 2])
+def test_where_there_is_but_one_thing_to_try_it_is_tried_after_failures_too(failures):
+    class Wishes(_Finds):
+        def _wish(self, candidates, around):
+            return [jnp.float32(0.5)], jnp.float32(0.5), jnp.ones(1, bool), jnp.zeros(1)
+
+    selection = SimpleNamespace(min_score=0.5)
+    planner = Wishes(SimpleNamespace(selection=selection), PlanConfig(at_least=(1,)))
+    candidates = SimpleNamespace(score=jnp.ones(1), valid=jnp.ones(1, bool), thumb=jnp.ones((1, 1)))
+    candidates._replace = lambda **new: SimpleNamespace(**(vars(candidates) | new))
+    assert planner.search(0, candidates, None, None, None, failures).cost[0] == 1.0
+
+
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(("costs", "expected"), [((5, 3), 5), ((20, 3), 3), ((20, 30), 20)])
 def test_contacts_that_ask_for_little_force_are_looked_for_first(costs, expected):
     """What is found among them, and among all."""

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 import yaml
+from six_axis import MJCF, write_six_axis
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
@@ -129,6 +130,13 @@ def test_a_wrong_description_is_refused_by_field(write, shipped, path, value, fi
         load_robot(file)
     assert caught.value.field.startswith(f"{file}: {field}")
     assert says in str(caught.value)
+
+
+def test_a_joint_without_limits_is_refused(tmp_path):
+    path = write_six_axis(tmp_path)
+    (tmp_path / "six_axis.xml").write_text(MJCF.replace(' range="-3.0 3.0"', ""))
+    with pytest.raises(InputError, match=r"arm\.home \(flange\): found 'a joint without limits'"):
+        load_robot(path)
 
 
 def test_a_joint_that_the_model_has_and_the_description_lacks(write, shipped):

@@ -107,6 +107,10 @@ def test_without_a_renderer_the_error_says_how_to_get_one(stored, tmp_path, monk
     with pytest.raises(RenderError, match=r"no renderer.*egl: .+apt-get install libegl1"):
         render_in_subprocess(VideoConfig(stored, tmp_path / "v.mp4"))
     assert not list(tmp_path.iterdir())
+    (tmp_path / "g.gif").write_text("earlier")
+    with pytest.raises(InputError, match="max_mb"):
+        frames.write_gif(tmp_path / "g.gif", noisy(8), 10, max_bytes=500)
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["earlier"]
 
 
 def test_a_backend_that_fails_is_followed_by_the_next(stored, tmp_path, monkeypatch):

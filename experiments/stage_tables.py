@@ -199,7 +199,8 @@ def whole_grasps(path: Path) -> str:
     lines = []
     for name, s in {**nominal["objects"], "all": nominal["all"]}.items():
         tips = " / ".join(_number(x) for x in s["tip_error_mm"])
-        lines.append((name.replace("_", " "), *_grasp_cells(s), *_failure_cells(s), tips))
+        rows = [row for row in nominal["rows"] if name in (row["object"], "all")]
+        lines.append((name.replace("_", " "), *_grasp_cells(s, rows), *_failure_cells(s), tips))
     header = (
         *("object", *_GRASP_COLUMNS),
         *("not reached", "lost", "tips mm"),
@@ -233,14 +234,19 @@ def grasps_in_short(scenarios: Path, every: Path) -> str:
         if own:
             of = [row for row in rows if row["object"] in own]
             lines.append((f"{len(own)} {said}", *_short_cells(of)))
-    header = ("from home", "trials", "lifted and held %", "lifted after s", "contact force N")
-    return markdown(Table("Whole grasps", header, tuple(lines)))
+    header = ("from home", "trials", "lifted and held %", "at once %", "lifted after s")
+    return markdown(Table("Whole grasps", (*header, "contact force N"), tuple(lines)))
 
 
 def _short_cells(rows: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     held = _held(rows)
     means = (_number(_mean(row[of] for row in held)) for of in ("lifted_s", "force_mean_n"))
-    return str(len(rows)), f"{100.0 * len(held) / len(rows):.1f}", *means
+    return str(len(rows)), f"{100.0 * len(held) / len(rows):.1f}", _at_once(rows), *means
+
+
+def _at_once(rows: Sequence[dict[str, Any]]) -> str:
+    """Of all trials, in %, those that lift and hold and never went back to reaching."""
+    return f"{100.0 * sum(not row['returns'] for row in _held(rows)) / len(rows):.1f}"
 
 
 def _held(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -303,7 +309,8 @@ def scenarios(path: Path) -> str:
     for name, result in record["scenarios"].items():
         s = result["all"]
         what = f"{name.replace('_', ' ')}: {result['settings']['description']}"
-        lines.append((what, *_grasp_cells(s), *_failure_cells(s), str(s["hit"])))
+        cells = _grasp_cells(s, result["rows"])
+        lines.append((what, *cells, *_failure_cells(s), str(s["hit"])))
     header = ("scenario", *_GRASP_COLUMNS, "not reached", "lost", "hit")
     return markdown(Table("Scenarios", header, tuple(lines)))
 
@@ -321,13 +328,17 @@ def foreign_meshes(path: Path) -> str:
     return markdown(Table("Foreign meshes", ("mesh", "what came of it"), rows, names=2))
 
 
-_GRASP_COLUMNS = ("trials", "lifted and held %", "up after 9 s %", "lifted s", "force N")
+_GRASP_COLUMNS = (
+    *("trials", "lifted and held %", "at once %", "up after 9 s %"),
+    *("lifted s", "force N"),
+)
 
 
-def _grasp_cells(s: dict[str, Any]) -> tuple[str, ...]:
+def _grasp_cells(s: dict[str, Any], rows: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     return (
         str(s["trials"]),
         f"{s['success_percent']:.1f} ({s['ci95'][0]:.0f}–{s['ci95'][1]:.0f})",
+        _at_once(rows),
         f"{100 * s['up_at_9s'] / s['trials']:.1f}",
         _number(s["lifted_s"]),
         _number(s["force_mean_n"]),

@@ -67,7 +67,7 @@ docs: setup
 readme: setup
 	$(BIN)/python experiments/make_readme.py
 
-# The revision for a copy without .git, where results say it (mjx_grasp/provenance.py).
+# The revision for a copy without .git, where results say it (mjx_grasp/records/provenance.py).
 revision:
 	git describe --always --dirty --abbrev=40 --exclude '*' > REVISION
 

@@ -2,7 +2,7 @@
 
     python examples/own_mesh.py [MESH]
 
-MESH is any file that trimesh reads, in metres; without one it is a bottle made here. The heatmap is
+MESH is a file of a closed mesh in metres; without one it is a bottle made here. The heatmap is
 computed once; then anchor, scores, candidates, selection and targets are one compiled call.
 """
 
@@ -27,16 +27,20 @@ def bottle() -> trimesh.Trimesh:
 
 def main(arguments: list[str]) -> None:
     """Prints where thumb, index and middle finger should touch."""
-    mesh = trimesh.load_mesh(arguments[0]) if arguments else bottle()
     robot = mjx_grasp.load_robot()
-    heatmap = mjx_grasp.compute_heatmap(
-        mesh.vertices,
-        mesh.faces,
-        None,
-        span=robot.hand.span,
-        scoring_friction=robot.hand.scoring_friction,
-    )
-    print(f"{int(heatmap.valid.sum())} of {len(mesh.vertices)} vertices have a candidate")
+    if arguments:  # checked, and coarse surfaces are refined
+        obj = mjx_grasp.load_object(arguments[0])
+        mesh, heatmap = obj.mesh, mjx_grasp.heatmap_of(obj, robot.hand)
+    else:
+        mesh = bottle()
+        heatmap = mjx_grasp.compute_heatmap(
+            mesh.vertices,
+            mesh.faces,
+            None,
+            span=robot.hand.span,
+            scoring_friction=robot.hand.scoring_friction,
+        )
+    print(f"{int(heatmap.valid.sum())} of {len(heatmap.vertices)} vertices have a candidate")
 
     # The hand as it is: tips in front of the object, the palm looking along +x.
     hand = mjx_grasp.HandPose(

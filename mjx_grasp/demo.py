@@ -18,6 +18,8 @@ def main() -> None:
     result = run_demo(config, console)
     apart = result["from_anchor_mm"]
     where = "" if apart is None else f", contacts {apart:.0f} mm from the anchor"
+    if result["mesh"] == "parametric":
+        console.print(f"{result['object']}: a simple stand-in; --objects-dir takes scans")
     console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}{where}")
     console.print(f"written: {config.out / 'index.html'}")
 

@@ -122,7 +122,7 @@ def test_the_tutorial_lifts_the_can():
 def test_the_example_of_an_object_runs():
     names: dict = {}
     exec(blocks("own-object.md")[0], names)
-    assert names["scores"].shape == (1000, len(names["mesh"].vertices))
+    assert names["scores"].shape == (1000, len(names["heatmap"].vertices))
     assert names["scores"].max() > 0
 
 

@@ -501,14 +501,14 @@ def example(path):
 
 def test_the_heatmap_example_runs_as_it_stands():
     names = example(ROOT / "README.md")
-    assert names["scores"].shape == (1000, len(names["mesh"].vertices))
+    assert names["scores"].shape == (1000, len(names["heatmap"].vertices))
     assert names["scores"].max() > 0
 
 
 def test_examples_use_what_is_public():
     codes = [code for path in DOCUMENTS for code in examples(path)]
     used = {name for code in codes for name in re.findall(r"(?<!from )mjx_grasp\.(\w+)", code)}
-    assert {"compute_heatmap", "grasper_of"} <= used <= set(mjx_grasp.__all__)
+    assert {"heatmap_of", "grasper_of"} <= used <= set(mjx_grasp.__all__)
 
 
 def test_whole_grasps_have_their_table(tmp_path):

@@ -11,7 +11,7 @@ from mjx_grasp.assets import asset_path
 SQUEEZE = ("--controller", "squeeze", "--objects", "foam_brick", "--out", "new.json")
 TRAINING = ("--preset", "cpu", "--objects", "foam_brick", "--out", "new")
 ROBOTS = {
-    "nobody": "nobody.yaml: found no such asset",
+    "nobody": "robot: found 'nobody', expected rizon4_hx5d20, or a description's file",
     "none.yaml": "none.yaml: found No such file",
     "empty.yaml": "empty.yaml: ",
 }

@@ -83,7 +83,7 @@ class GripConfig(Settings):
     on along the field until the lift, as published"""
     split: Literal["even", "balanced"] = "even"
     """whether each finger presses with F, or the thumb with as much as the others together and all
-    three with 3 F in sum, as now"""
+    three with 3 F in sum in either case"""
     direction: Literal["normals", "line"] = "normals"
     """along what the fingers press: the contacts' normals, or the line between the thumb's pad and
     the middle of the others"""

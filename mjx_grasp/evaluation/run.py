@@ -49,7 +49,8 @@ def chosen_states(
     if not names:
         counts = states_of(stored, stored.object_names, config.states).counts()
         known = ", ".join(n for n in counts if counts[n]) or "none"
-        raise InputError("--objects", ", ".join(asked), f"objects with start states ({known})")
+        expected = f"objects with start states ({known}); --handoffs takes others"
+        raise InputError("--objects", ", ".join(asked), expected)
     return names, without, states
 
 

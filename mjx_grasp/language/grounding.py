@@ -26,7 +26,7 @@ class GroundingError(MjxGraspError, ValueError):
 
     def __init__(self, instruction: str, found: str, expected: str):
         self.instruction, self.found, self.expected = instruction, found, expected
-        super().__init__(f"{instruction!r}: {found}; expected {expected}")
+        super().__init__(f"instruction: found {instruction!r}, {found}; expected {expected}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,8 +135,8 @@ def find_objects(asked: Sequence[str]) -> tuple[Asked, ...]:
                     raise InputError("objects", both, "meshes of different names")
         else:
             near = difflib.get_close_matches(name, [*sets, *known], n=3, cutoff=0.5)
-            hint = f"{', '.join(near)}?" if near else f"{', '.join(sets)} or an object's name"
-            raise InputError("object", name, f"a name of the catalogue: {hint} Or a mesh's path")
+            names = f"{', '.join(near)}?" if near else f"mug, apple, …, or {', '.join(sets)}"
+            raise InputError("object", name, f"a mesh's path or a name of the catalogue: {names}")
     if not found:
         raise InputError("objects", list(asked), "one or more names, groups or meshes")
     return tuple(found.values())

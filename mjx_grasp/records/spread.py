@@ -32,7 +32,7 @@ class Spread(CommandSettings):
     """Who shares the work. It makes no difference to the results."""
 
     processes: Count = 1
-    """that share the work, each with cores of its own; more than one need the extra `ray`"""
+    """that share the work, each with cores of its own; more than one needs the extra `ray`"""
     address: str | None = None
     """of a Ray cluster over whose machines the processes are spread, or `auto` for the one that
     this machine belongs to; paths have to be the same on all of them. None: this machine alone"""

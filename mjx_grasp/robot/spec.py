@@ -188,12 +188,16 @@ def load_robot(name: str | Path = "rizon4_hx5d20") -> RobotSpec:
 
     Raises:
         FileError: The description or its MJCF is missing or cannot be read.
-        InputError: The description is wrong in itself or does not fit its MJCF; the message names
-            the field.
+        InputError: There is no such robot, or its description is wrong in itself or does not fit
+            its MJCF; the message names the field.
     """
     if str(name).endswith((".yaml", ".yml")):
         path = Path(name)
     else:
+        shipped = sorted(file.stem for file in asset_path("robot").glob("*.xml"))
+        if name not in shipped:
+            expected = f"{', '.join(shipped)}, or a description's file (.yaml)"
+            raise InputError("robot", str(name), expected)
         path = asset_path("robot", f"{name}.yaml")
     spec = _read(path)
     _check_against_model(spec, path)

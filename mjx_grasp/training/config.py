@@ -74,7 +74,7 @@ class TrainConfig(ObjectsConfig):
     """take fewer worlds than --ppo.worlds where the device's memory does not hold them; off where
     that is given"""
     evaluation_episodes: WholeNumber = 64
-    """episodes per object after training, for policy, untrained policy and squeeze; 0 for none"""
+    """episodes per object after training, of the policy and what it is compared with; 0 for none"""
     run_on: Annotated[RunOn, tyro.conf.arg(name="")] = field(default_factory=RunOn)
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=TaskConfig)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.robot.spec import RobotSpec
@@ -29,7 +29,11 @@ def start_policy(config: TrainConfig, robot: RobotSpec) -> Policy | None:
     path = start_file(config)
     if path is None:
         return None
-    policy = load_controller(path, robot)
+    try:
+        policy = load_controller(path, robot)
+    except FileError as error:
+        expected = f"{error.expected}; --start-from None begins with nothing"
+        raise FileError(error.path, error.found, expected) from None
     its, own = policy_task(policy), config.task
     hidden = tuple(weight.shape[1] for weight in policy.weights[:-1])
     for name, there, here in (

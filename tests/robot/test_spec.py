@@ -158,7 +158,7 @@ def test_files_that_cannot_be_read_are_refused(write, shipped, tmp_path):
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
     with pytest.raises(FileError, match=r"broken\.xml.*no MJCF that compiles"):
         load_robot(write(change(shipped, ("mjcf",), "broken.xml")))
-    with pytest.raises(FileError, match="no such asset"):
+    with pytest.raises(InputError, match=r"'no_such_robot', expected rizon4_hx5d20, or"):
         load_robot("no_such_robot")
 
 

@@ -130,6 +130,22 @@ def scenario_names() -> tuple[str, ...]:
     return (NOMINAL, *(name for name in found if name != NOMINAL))
 
 
+def load_scenario(name: str) -> tuple[str, Scenario]:
+    """One scenario, and what it is called.
+
+    Args:
+        name: A shipped one, or a file of your own.
+
+    Raises:
+        InputError: An unknown name.
+        FileError: A file that cannot be read, or is no scenario.
+    """
+    if not name.endswith(_SUFFIXES) and name not in (shipped := scenario_names()):
+        raise InputError("--scenario", name, f"a file (.yaml), or one of {', '.join(shipped)}")
+    ((stem, scenario),) = load_scenarios([name]).items()
+    return stem, scenario
+
+
 def load_scenarios(names: Sequence[str]) -> dict[str, Scenario]:
     """Scenarios by name.
 

@@ -22,7 +22,7 @@ from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all, home_tips
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
-from mjx_grasp.evaluation.grasps.scenario import NOMINAL, Scenario, load_scenarios
+from mjx_grasp.evaluation.grasps.scenario import NOMINAL, Scenario, load_scenario
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
@@ -97,7 +97,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             written then.
     """
     check_new_folder("--out", config.out)
-    ((name, scenario),) = load_scenarios([config.scenario]).items()
+    name, scenario = load_scenario(config.scenario)
     _check_object(config.object, name, scenario)
     made = provenance(config.seed)
     robot = load_robot(config.robot).mounted(-scenario.table_height)
@@ -171,7 +171,8 @@ def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
 
 
 def _title(obj: ObjectModel, steered: Steered, happens: str | None) -> str:
-    words = [obj.name.replace("_", " "), steered.source, happens]
+    stand_in = " (stand-in)" if obj.source == "parametric" else ""
+    words = [obj.name.replace("_", " ") + stand_in, steered.source, happens]
     return ", ".join(word for word in words if word)
 
 

@@ -14,6 +14,7 @@ import pytest
 from test_packaging import COMMANDS, module_name
 
 import mjx_grasp
+from mjx_grasp.geometry import so3
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.robot.interface import Robot
 from mjx_grasp.robot.spec import load_robot
@@ -151,6 +152,30 @@ class Drives:
 
     def send(self, target):
         self.sent = target
+
+
+@pytest.mark.long
+def test_the_loop_of_a_driver_grasps():
+    driver, loop, given = blocks("own-driver.md")[:3]
+    names: dict = {}
+    exec(driver + loop + given, names)
+    cube = mjx_grasp.load_object("rubiks_cube")
+    scene = mjx_grasp.build_scene([cube], names["spec"])
+    qpos = scene.model.qpos0.copy()
+    qpos[scene.addresses.robot_qpos] = names["spec"].home
+    qpos[scene.addresses.object_qpos] = [0.5, -0.1, -cube.mesh.bounds[0, 2], 1, 0, 0, 0]
+    simulated = mjx_grasp.SimRobot(scene, qpos, cube.name)
+    simulated.connect()
+
+    def look():
+        truth = simulated.truth()
+        pose = truth.object_pos, so3.quat_to_mat(truth.object_quat)
+        return mjx_grasp.Seen(*pose, truth.tip_found, jnp.zeros((0, 4)))
+
+    there = (names[name] for name in ("grasper", "library", "known"))
+    state = names["grasp"](simulated, look, *there)
+    assert Phase(int(state.phase)) is Phase.HOLDING
+    assert simulated.truth().object_pos[2] > 0.1
 
 
 def test_the_skeleton_of_a_driver_is_a_robot():

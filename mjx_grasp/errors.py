@@ -25,7 +25,8 @@ class InputError(MjxGraspError, ValueError):
 
     def __init__(self, field: str, found: object, expected: str):
         self.field, self.found, self.expected = field, found, expected
-        super().__init__(f"{field}: found {found!r}, expected {expected}")
+        shown = str(found) if isinstance(found, Path) else found
+        super().__init__(f"{field}: found {shown!r}, expected {expected}")
 
 
 class FileError(MjxGraspError, ValueError):

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +16,11 @@ from mjx_grasp.language.grounding import GroundingError
         (InputError("--mass", -1.0, "a mass"), "--mass: found -1.0, expected a mass"),
         (InputError("--objects", "mugg", "mug"), "--objects: found 'mugg', expected mug"),
         (FileError("a/b.npz", "nothing", "a set"), "a/b.npz: found nothing, expected a set"),
-        (GroundingError("by the cap", "no point", "one"), "'by the cap': no point; expected one"),
+        (InputError("--policy", Path("a.npz"), "one"), "--policy: found 'a.npz', expected one"),
+        (
+            GroundingError("by the cap", "no point", "one"),
+            "instruction: found 'by the cap', no point; expected one",
+        ),
     ],
 )
 def test_errors_say_what_was_found_and_survive_a_way_between_processes(error, said):

@@ -77,7 +77,7 @@ def paired_draws(
     key = jax.random.fold_in(jax.random.PRNGKey(seed), object_index)
     order = np.random.default_rng((seed, object_index)).permutation(len(rows))
     picked = rows[order[np.arange(episodes) % len(rows)]]
-    draw = draw_starts(key, episodes, starts, noise, jnp.ones(len(starts.object_index)))
+    draw = draw_starts(key, episodes, noise, jnp.ones(len(starts.object_index)))
     return draw._replace(row=jnp.asarray(picked))
 
 

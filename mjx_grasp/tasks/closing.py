@@ -138,7 +138,7 @@ class ClosingTask:
 
     def draw(self, key: Array, worlds: int) -> StartDraw:
         """See `Task.draw`."""
-        return draw_starts(key, worlds, self.starts, self.noise, self._weights)
+        return draw_starts(key, worlds, self.noise, self._weights)
 
     def start(self, draw: StartDraw) -> tuple[ClosingState, Observations]:
         """See `Task.start`."""

@@ -115,14 +115,13 @@ def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTabl
 
 
 def draw_starts(
-    key: Array, worlds: int, starts: StartTable, noise: StartNoise, weights: Float[Array, " n"]
+    key: Array, worlds: int, noise: StartNoise, weights: Float[Array, " n"]
 ) -> StartDraw:
     """Draws start rows by weight, and the errors of `noise` uniformly.
 
     Args:
         key: Random key.
         worlds: How many.
-        starts: The table.
         noise: Ranges.
         weights: Unnormalised probability of each row; see `balanced_weights`.
     """

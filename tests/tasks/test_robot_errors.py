@@ -120,7 +120,7 @@ def test_a_seed_stands_for_the_same_starts_whatever_else_is_drawn(starts):
         budget_n=(1.0, 6.0),
         robot=RobotErrors(stiffness=(0.7, 1.3), latency_s=(0.0, 0.03), friction=0.3),
     )
-    a, b = (draw_starts(key, 64, starts, noise, weights) for noise in (plain, more))
+    a, b = (draw_starts(key, 64, noise, weights) for noise in (plain, more))
     for name in ("row", "offset", "rotation", "friction", "mass_scale"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
     assert 1.0 <= b.budget.min() < 2.0 and 5.0 < b.budget.max() <= 6.0

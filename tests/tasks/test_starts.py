@@ -79,7 +79,7 @@ def test_weights_make_objects_equally_likely():
 def test_draws_follow_weights_and_stay_in_their_ranges(starts):
     weights = jnp.array([0, 1, 3, 0, 0, 0, 0, 0, 4.0])
     noise = StartNoise(0.004, 0.2, friction=(0.5, 0.9), mass_scale=(0.8, 1.3))
-    draw = draw_starts(jax.random.PRNGKey(0), 20000, starts, noise, weights)
+    draw = draw_starts(jax.random.PRNGKey(0), 20000, noise, weights)
     share = np.bincount(draw.row, minlength=9) / 20000
     np.testing.assert_allclose(share, np.asarray(weights) / 8, atol=0.015)
     angle = np.linalg.norm(draw.rotation, axis=-1)
@@ -99,7 +99,7 @@ def test_draws_follow_weights_and_stay_in_their_ranges(starts):
 def test_draws_are_a_function_of_the_key(starts):
     weights = balanced_weights(starts.object_index, 3)
     one, same, other = (
-        draw_starts(jax.random.PRNGKey(k), 64, starts, StartNoise(), weights) for k in (1, 1, 2)
+        draw_starts(jax.random.PRNGKey(k), 64, StartNoise(), weights) for k in (1, 1, 2)
     )
     jax.tree.map(np.testing.assert_array_equal, one, same)
     assert (one.offset != other.offset).any() and (one.row != other.row).any()

@@ -176,9 +176,10 @@ def test_a_belt_drags_with_no_more_than_friction_gives_and_only_on_the_table():
     np.testing.assert_allclose(torque, np.cross([0, 0, -0.03], force), atol=1e-6)
     most = 2 * 0.8 * 0.5 * 9.81
     assert (np.linalg.norm(force, axis=1) <= most * (1 + 1e-5)).all() and (force[:, 2] == 0).all()
-    for rise, since in ((0.01, 1.0), (0.0, -1.0)):
+    fallen = high - 1.0
+    for rise, height, since in ((0.01, high, 1.0), (0.0, high, -1.0), (-1.0, fallen, 1.0)):
         up, when = jnp.full(4, rise), jnp.full(4, since)
-        assert not circumstances.belt_wrench(given, velocity, up, high, when).any()
+        assert not circumstances.belt_wrench(given, velocity, up, height, when).any()
     nothing = drawn(Scenario())
     assert not circumstances.belt_wrench(nothing, velocity, jnp.zeros(4), high, jnp.ones(4)).any()
 

@@ -117,6 +117,7 @@ def belt_wrench(
 
     Where object and table meet, μ m g along the belt cancels what the still table takes from an
     object that goes with it, and up to as much drags towards the belt's velocity one that does not.
+    An object that has fallen off the table is left alone.
 
     Args:
         given: Of the trials.
@@ -127,7 +128,7 @@ def belt_wrench(
     """
     belt, mass = given.belt, given.mass
     moving = (since >= 0) & (since < belt.lasts_s) & (rise < _ON_THE_TABLE_M)
-    moving &= jnp.any(belt.velocity != 0.0, axis=-1)
+    moving &= (com_height > 0.0) & jnp.any(belt.velocity != 0.0, axis=-1)
     most = given.friction * mass * GRAVITY
     missing = (belt.velocity - velocity).at[:, 2].set(0.0)
     wanted = _BELT_GAIN * mass[:, None] * missing

@@ -103,6 +103,9 @@ class ComparisonConfig(Spread):
     """whether the policy is among the controllers"""
     force_budgets: tuple[Positive, ...] = (3.0,)
     """that a policy which knows a budget is given, one after the other [N]"""
+    keeping_gain: NonNegative | None = None
+    """how fast the budget that it is told follows what it spares or spends too much; 0: it is told
+    its own; None: as in its training [1/s]"""
     squeeze_forces: tuple[NonNegative, ...] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
     """commanded forces of the squeeze [N]"""
     squeeze_splits: tuple[Literal["even", "balanced"], ...] = ("even",)
@@ -163,6 +166,7 @@ def under(condition: Condition, config: ComparisonConfig) -> EvaluateConfig:
         worlds=config.worlds,
         seed=config.seed,
         robot_errors=replace(errors, stiffness=changes.pop("stiffness", errors.stiffness)),
+        keeping_gain=config.keeping_gain,
         **changes,
     )
 
@@ -277,7 +281,7 @@ def _compiled(job: _Job) -> Hashable:
     """What of a job decides which functions are compiled; the rest is drawn."""
     one = job.chosen
     grip = one.squeeze_force, one.squeeze_split, one.grip
-    return one.controller, *grip, one.angle_deg > 0, one.robot_errors
+    return one.controller, *grip, one.angle_deg > 0, one.robot_errors, one.keeping_gain
 
 
 def _evaluated(own: _Evaluator, job: _Job) -> dict[str, Any]:

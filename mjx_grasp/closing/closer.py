@@ -28,6 +28,7 @@ from mjx_grasp.closing.forces import (
 from mjx_grasp.closing.guidance import goal_frame, guidance_field, way_left
 from mjx_grasp.closing.joints import DrivenJoints, action_size, driven_joints
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
+from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import RobotSpec
@@ -66,6 +67,8 @@ class CloserState(NamedTuple):
     lifting: Bool[Array, "*b"]
     lift_tick: Int[Array, "*b"]
     """since lift onset"""
+    pressed: Float[Array, "*b"]
+    """sum over the ticks since lift onset of the fingers' mean force, estimated [N]"""
 
 
 @jax.tree_util.register_static
@@ -118,6 +121,7 @@ class Closer:
             grip_ticks=jnp.zeros((*batch, fingers), jnp.int32),
             lifting=no,
             lift_tick=zero,
+            pressed=jnp.zeros(batch),
         )
 
     def tick(
@@ -170,6 +174,7 @@ class Closer:
         state = state._replace(observer=observer)
         load = self.load(state, measured, targets)
         level = next_level(state.level, *load, config.control_dt, config.grip)
+        force = jnp.mean(norm(self.forces(state, measured)), axis=-1)
         return state._replace(
             observed=observed,
             level=jnp.where(lifting, level, state.level),
@@ -177,6 +182,7 @@ class Closer:
             grip_ticks=jnp.where(gripping, state.grip_ticks + 1, 0),
             lifting=lifting,
             lift_tick=jnp.where(state.lifting, state.lift_tick + 1, 0),
+            pressed=jnp.where(lifting, state.pressed + force, 0.0),
         )
 
     def act(

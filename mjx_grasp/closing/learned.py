@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import jax
@@ -11,12 +11,33 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mjx_grasp.closing.closer import Closer, CloserState
+from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.points import ThreePoints
-from mjx_grasp.records.settings import Settings, Several, WholeNumber
+from mjx_grasp.records.settings import NonNegative, Positive, Settings, Several, Share, WholeNumber
 from mjx_grasp.robot.interface import Measured
 
 FORCE_UNIT = 5.0
 """What the number 1 stands for where an observation holds a force [N]."""
+
+
+@dataclass(frozen=True)
+class KeepingConfig(Settings):
+    """How a policy is held to its force budget: by what it is told of it."""
+
+    gain: NonNegative = 0.0
+    """g: how fast the budget that it is told follows what is spared or spent too much; 0: it is
+    told its own [1/s]"""
+    share: Share = 0.92
+    """s: of the budget, that the mean force is to be; the rest is for errors of the estimate [-]"""
+    least: Positive = 1.0
+    """that it is told, as in its training [N]"""
+    most: Positive = 12.0
+    """that it is told, as in its training [N]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.least > self.most:
+            raise InputError(self.name_of("least"), self.least, f"at most `most` ({self.most:g})")
 
 
 @dataclass(frozen=True)
@@ -28,6 +49,8 @@ class ObservationConfig(Settings):
     the grip's own force stand beside joints and actions; for a torque-sensed hand"""
     budget: bool = False
     """whether the force budget does, the mean force per finger that a grasp may take"""
+    keeping: KeepingConfig = field(default_factory=KeepingConfig)
+    """how the budget that is read differs from the one that is given"""
     targets: bool = False
     """whether the three contacts do, in the palm's frame"""
     normals: bool = False
@@ -108,13 +131,34 @@ def observation(
 
     Args:
         stack: Steps, oldest first.
-        budget: Mean force per finger that the grasp may take [N].
+        budget: Mean force per finger that the grasp may take, as it is `told` [N].
         config: Which of the steps, and whether the budget.
     """
     seen = [stack[..., -1 - ago, :] for ago in reversed(config.ticks_ago)]
     if config.budget:
         seen.append(budget[..., None] / FORCE_UNIT)
     return jnp.concatenate(seen, axis=-1)
+
+
+def told(
+    budget: Float[Array, "*b"], state: CloserState, dt: float, config: KeepingConfig
+) -> Float[Array, "*b"]:
+    """The budget that a policy reads, so that its mean force keeps to the one that is given [N].
+
+    B̂ = B·exp(g·∫(s − F̂/B) dt) within bounds, from lift onset on, with the mean F̂ of the fingers'
+    estimated forces: it rises while there is force to spare, and falls after more than the budget.
+
+    Args:
+        budget: B, mean force per finger that the grasp may take [N].
+        state: Of the closing controller, after `sense`.
+        dt: Its control period [s].
+        config: g, s and bounds.
+    """
+    if not config.gain:
+        return budget
+    ticks = jnp.where(state.lifting, state.lift_tick + 1, 0)  # the onset's own tick counts
+    spared = dt * (config.share * ticks - state.pressed / budget)
+    return jnp.clip(budget * jnp.exp(config.gain * spared), config.least, config.most)
 
 
 def proprioception(

@@ -47,6 +47,9 @@ class EvaluateConfig(ObjectsConfig, Spread):
     """the grip of the controller grip"""
     force_budget: Positive = 3.0
     """mean force per finger that a policy which knows a budget may take [N]"""
+    keeping_gain: NonNegative | None = None
+    """how fast the budget that it is told follows what it spares or spends too much; 0: it is told
+    its own; None: as in its training [1/s]"""
     offset_mm: Annotated[float, Range(0, 1e3 * MAX_OFFSET_M)] = 5.0
     """lateral object offset, uniform in ± this along x and y [mm]"""
     angle_deg: Annotated[float, Range(0, math.degrees(MAX_ANGLE_RAD))] = 0.0

@@ -79,6 +79,9 @@ class ResultRow:
     """Factor on the object's mass [-]."""
     force_budget_n: float | None = None
     """Mean force per finger that a policy which knows a budget was allowed [N]."""
+    keeping_gain: float | None = None
+    """How fast the budget that it was told followed what it spared or spent too much [1/s]; 0 or
+    None: it was told its own."""
     robot_errors: RobotErrors = field(default_factory=RobotErrors)
     """How the robot differed from its model."""
     label: str | None = None

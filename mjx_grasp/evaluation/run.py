@@ -75,7 +75,8 @@ def evaluate(
         task: Whose lift and times squeeze and grip have; by default the closing task's. A policy is
             always in the task it was trained in.
     """
-    task = policy_task(policy) if policy else model_based(task or TaskConfig(), config)
+    own = kept(policy_task(policy), config) if policy else None
+    task = own or model_based(task or TaskConfig(), config)
     # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
     task = replace(task, reward=type(task.reward)())
     worlds = min(config.worlds, config.episodes)
@@ -103,6 +104,15 @@ def evaluate(
 def _task(world: World, engine: Engine, worlds: int, config: TaskConfig, noise: StartNoise) -> Task:
     """The task of an evaluation; the next one's is the same if it differs in its draws alone."""
     return world.task(engine, worlds, config, noise, with_privileged=False)
+
+
+def kept(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
+    """A policy's task, with the gain by which it is held to a budget."""
+    if config.keeping_gain is None:
+        return task
+    seen = task.observation
+    keeping = replace(seen.keeping, gain=config.keeping_gain)
+    return replace(task, observation=replace(seen, keeping=keeping))
 
 
 def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
@@ -176,6 +186,7 @@ def summarise(
         grip_friction=config.grip.friction if grip else None,
         mass_scale=config.mass_scale,
         force_budget_n=config.force_budget if knows_budget else None,
+        keeping_gain=task.observation.keeping.gain if knows_budget else None,
         robot_errors=config.robot_errors,
         label=None,
         friction_spread=config.friction_spread,

@@ -259,7 +259,9 @@ def _setting(row: ResultRow) -> str:
     text += ", balanced" if row.squeeze_split == "balanced" else ""
     text += "" if row.grip_force_n is None else f" {row.grip_force_n:g} N"
     text += "" if row.grip_friction is None else f", μ₀ {row.grip_friction:g}"
-    return text + ("" if row.force_budget_n is None else f", budget {row.force_budget_n:g} N")
+    if row.force_budget_n is None:
+        return text
+    return f"{text}, {'kept to' if row.keeping_gain else 'budget'} {row.force_budget_n:g} N"
 
 
 def _errors_text(errors: RobotErrors) -> str:
@@ -283,11 +285,12 @@ def _without_outcome(row: ResultRow) -> ResultRow:
     )  # fmt: skip
 
 
-def _column_order(column: Column) -> tuple[bool, float, float, bool, str]:
+def _column_order(column: Column) -> tuple[bool, float, float, float, bool, str]:
     row = next(iter(column.rows.values()))
     force = row.squeeze_force_n
     another = row.label is not None
-    return (force is not None, force or 0.0, row.force_budget_n or 0.0, another, column.label)
+    kept, budget = row.keeping_gain or 0.0, row.force_budget_n or 0.0
+    return (force is not None, force or 0.0, kept, budget, another, column.label)
 
 
 def _condition_order(c: Condition) -> tuple:

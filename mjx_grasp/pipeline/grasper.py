@@ -26,6 +26,7 @@ from mjx_grasp.closing.learned import (
     observation,
     observed_step,
     pushed,
+    told,
 )
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import norm, turned_back
@@ -334,7 +335,7 @@ class Grasper:
         action = jnp.where(fresh, 0.0, before.action)
         first = self._first_stack(closer, measured, points, action)
         stack = jnp.where(fresh, first, pushed(before.stack, first[-1]))
-        action = self._action(stack)
+        action = self._action(closer, stack)
         closer, target = self.closer.act(closer, measured, points, action)
 
         in_palm = turned_back(measured.palm_mat, seen.p_wo - measured.palm_pos)
@@ -423,13 +424,12 @@ class Grasper:
         step = observed_step(self.closer, closer, measured, points, action, seen)
         return first_stack(step, seen)
 
-    def _action(self, stack: Float[Array, "s d"]) -> Float[Array, " a"]:
+    def _action(self, closer: CloserState, stack: Float[Array, "s d"]) -> Float[Array, " a"]:
         if self.policy is None:
             return jnp.zeros(self.closer.action_size)
-        budget = jnp.float32(self.policy.budget)
-        return jnp.clip(
-            self.policy.answer(observation(stack, budget, self.policy.observation)), -1, 1
-        )
+        seen = self.policy.observation
+        budget = told(jnp.float32(self.policy.budget), closer, self.dt, seen.keeping)
+        return jnp.clip(self.policy.answer(observation(stack, budget, seen)), -1, 1)
 
 
 class _Reached(NamedTuple):

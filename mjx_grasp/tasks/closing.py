@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing import control
 from mjx_grasp.closing.closer import Closer, CloserState
-from mjx_grasp.closing.learned import first_stack, observation, observed_step, pushed
+from mjx_grasp.closing.learned import first_stack, observation, observed_step, pushed, told
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
@@ -345,9 +345,10 @@ class ClosingTask:
 
     def _observe(self, state: ClosingState) -> Observations:
         episode, closer = state.episode, state.closer
-        proprio = observation(episode.stack, episode.budget, self.config.observation)
-        told = self.config.observation.truth
-        if not (self._with_privileged or told):
+        seen = self.config.observation
+        budget = told(episode.budget, closer, self.control_dt, seen.keeping)
+        proprio = observation(episode.stack, budget, seen)
+        if not (self._with_privileged or seen.truth):
             return {"state": proprio}
         measured, truth, ticks = state.measured, state.truth, self.episode_ticks
         force = self.closer.grip_force(closer)
@@ -368,8 +369,8 @@ class ClosingTask:
                 *((force * 0.2, episode.budget * 0.2) if self._feels else ()),
             ),
         )
-        seen = {"state": critic if told else proprio}
-        return seen | ({"privileged_state": critic} if self._with_privileged else {})
+        read = {"state": critic if seen.truth else proprio}
+        return read | ({"privileged_state": critic} if self._with_privileged else {})
 
     def _start_arrays(self, draw: StartDraw) -> tuple[Float[Array, "w nq"], Float[Array, "w nu"]]:
         at, k = self.physics.scene.addresses, self._beginning(draw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from mjx_grasp.assets import asset_path
@@ -35,10 +36,12 @@ def start_policy(config: TrainConfig, robot: RobotSpec) -> Policy | None:
         expected = f"{error.expected}; --start-from None begins with nothing"
         raise FileError(error.path, error.found, expected) from None
     its, own = policy_task(policy), config.task
+    # How it is held to its budget changes what one number says, not which numbers there are.
+    seen = replace(its.observation, keeping=own.observation.keeping)
     hidden = tuple(weight.shape[1] for weight in policy.weights[:-1])
     for name, there, here in (
         ("task", type(its).__name__, type(own).__name__),
-        ("task.observation", its.observation, own.observation),
+        ("task.observation", seen, own.observation),
         ("task.action", its.action, own.action),
         ("ppo.hidden", hidden, config.ppo.hidden),
     ):

@@ -29,7 +29,7 @@ from mjx_grasp.evaluation.trials import (
 )
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, with_states
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import deployed_task, load_controller
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
@@ -142,7 +142,7 @@ def contestants_of(
         budgets: Of force [N].
         squeezes: Forces [N].
     """
-    act, trained = policy.controller(), policy_task(policy)
+    act, trained = policy.controller(), deployed_task(policy)
     return {f"policy, budget {b:g} N": Contestant(trained, act, b) for b in budgets} | {
         f"squeeze {f:g} N": _gripping(GripConfig(force=f)) for f in squeezes
     }

@@ -28,6 +28,7 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.closing.config import REACTING
+from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, read_results, row_from_record, write_results
@@ -103,9 +104,9 @@ class ComparisonConfig(Spread):
     """whether the policy is among the controllers"""
     force_budgets: tuple[Positive, ...] = (3.0,)
     """that a policy which knows a budget is given, one after the other [N]"""
-    keeping_gain: NonNegative | None = None
+    keeping_gain: NonNegative = KEEPING.gain
     """how fast the budget that it is told follows what it spares or spends too much; 0: it is told
-    its own; None: as in its training [1/s]"""
+    its own, as in its training [1/s]"""
     squeeze_forces: tuple[NonNegative, ...] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
     """commanded forces of the squeeze [N]"""
     squeeze_splits: tuple[Literal["even", "balanced"], ...] = ("even",)
@@ -201,6 +202,7 @@ def what_is_known(
     settings = stored.extra.get("settings")
     if isinstance(settings, dict):  # where it has its rows from does not matter
         settings = {name: value for name, value in settings.items() if name != "known"}
+        settings.setdefault("keeping_gain", 0.0)  # files of before that was a setting
     try:
         earlier = from_record(ComparisonConfig, settings, "settings")
     except InputError as error:

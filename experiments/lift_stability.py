@@ -30,7 +30,7 @@ from mjx_grasp.evaluation.trials import Trials, paired_draws, watch_trials, zero
 from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import deployed_task, load_controller
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.records.atomic import check_writable, replacing, write_json
 from mjx_grasp.records.journal import Journal, journaled
@@ -171,7 +171,7 @@ class Holds:
             raise InputError("--object", config.object, f"an object of {self.handoffs}: {known}")
         # As long as is asked; the trained task is otherwise left alone.
         plain = TaskConfig(episode_s=config.seconds)
-        trained = replace(policy_task(self._policy), episode_s=config.seconds)
+        trained = replace(deployed_task(self._policy), episode_s=config.seconds)
         squeeze = replace(plain, grip=GripConfig(force=config.squeeze))
         self.tasks = (
             {f"policy, {budget:g} N": (trained, budget) for budget in config.budgets}

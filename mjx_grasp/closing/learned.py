@@ -40,6 +40,10 @@ class KeepingConfig(Settings):
             raise InputError(self.name_of("least"), self.least, f"at most `most` ({self.most:g})")
 
 
+KEEPING = KeepingConfig(gain=3.0)
+"""Of a policy at work; in its training it is told its budget itself."""
+
+
 @dataclass(frozen=True)
 class ObservationConfig(Settings):
     """What the policy sees of each control tick, and of which ticks."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mjx_grasp.closing.config import REACTING, GripConfig
+from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
@@ -47,9 +48,9 @@ class EvaluateConfig(ObjectsConfig, Spread):
     """the grip of the controller grip"""
     force_budget: Positive = 3.0
     """mean force per finger that a policy which knows a budget may take [N]"""
-    keeping_gain: NonNegative | None = None
+    keeping_gain: NonNegative = KEEPING.gain
     """how fast the budget that it is told follows what it spares or spends too much; 0: it is told
-    its own; None: as in its training [1/s]"""
+    its own, as in its training [1/s]"""
     offset_mm: Annotated[float, Range(0, 1e3 * MAX_OFFSET_M)] = 5.0
     """lateral object offset, uniform in ± this along x and y [mm]"""
     angle_deg: Annotated[float, Range(0, math.degrees(MAX_ANGLE_RAD))] = 0.0

@@ -26,7 +26,7 @@ from mjx_grasp.evaluation.trials import (
 )
 from mjx_grasp.handoff.dataset import HandoffSet, kind_of
 from mjx_grasp.handoff.states import states_of, with_states
-from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.controller import deployed_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.provenance import usable_cores
@@ -73,9 +73,9 @@ def evaluate(
         reached: Which of the world's start states are ends of reaches, for the rows.
         console: Where the progress bar and warnings go.
         task: Whose lift and times squeeze and grip have; by default the closing task's. A policy is
-            always in the task it was trained in.
+            always in the task it was trained in, but for how it is held to its budget.
     """
-    own = kept(policy_task(policy), config) if policy else None
+    own = deployed_task(policy, config.keeping_gain) if policy else None
     task = own or model_based(task or TaskConfig(), config)
     # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
     task = replace(task, reward=type(task.reward)())
@@ -104,15 +104,6 @@ def evaluate(
 def _task(world: World, engine: Engine, worlds: int, config: TaskConfig, noise: StartNoise) -> Task:
     """The task of an evaluation; the next one's is the same if it differs in its draws alone."""
     return world.task(engine, worlds, config, noise, with_privileged=False)
-
-
-def kept(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:
-    """A policy's task, with the gain by which it is held to a budget."""
-    if config.keeping_gain is None:
-        return task
-    seen = task.observation
-    keeping = replace(seen.keeping, gain=config.keeping_gain)
-    return replace(task, observation=replace(seen, keeping=keeping))
 
 
 def model_based(task: TaskConfig, config: EvaluateConfig) -> TaskConfig:

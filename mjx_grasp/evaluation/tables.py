@@ -261,7 +261,8 @@ def _setting(row: ResultRow) -> str:
     text += "" if row.grip_friction is None else f", μ₀ {row.grip_friction:g}"
     if row.force_budget_n is None:
         return text
-    return f"{text}, {'kept to' if row.keeping_gain else 'budget'} {row.force_budget_n:g} N"
+    kept = "" if row.keeping_gain else ", not kept"
+    return f"{text}, budget {row.force_budget_n:g} N{kept}"
 
 
 def _errors_text(errors: RobotErrors) -> str:

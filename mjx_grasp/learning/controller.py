@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.robot.identity import check_robot
@@ -44,6 +46,22 @@ def check_deployable(path: Path, task: TaskConfig) -> None:
     if task.observation.truth:
         found = "a policy that reads what only a simulator knows (observation.truth)"
         raise FileError(path, found, "one that reads what a robot measures")
+
+
+def deployed_task(policy: Policy, keeping_gain: float = KEEPING.gain) -> TaskConfig:
+    """The task of a policy at work: as it was trained in, but held to its force budget.
+
+    Args:
+        policy: The policy.
+        keeping_gain: How fast the budget that it is told follows what it spares or spends too much;
+            0: it is told its own [1/s].
+
+    Raises:
+        InputError: A field of the task is unknown or has an impossible value.
+    """
+    task = policy_task(policy)
+    keeping = replace(KEEPING, gain=keeping_gain)
+    return replace(task, observation=replace(task.observation, keeping=keeping))
 
 
 def policy_task(policy: Policy) -> TaskConfig:

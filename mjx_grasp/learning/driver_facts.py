@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjx_grasp.learning.controller import check_deployable, policy_task
+from mjx_grasp.learning.controller import check_deployable, deployed_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import command_line, file_digests, git_revision, versions
 from mjx_grasp.records.settings import to_record
@@ -37,7 +37,7 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
     Raises:
         FileError: It reads what no robot knows.
     """
-    task = policy_task(policy)
+    task = deployed_task(policy)
     check_deployable(file, task)
     observed, acted = observation_layout(robot, task), action_layout(robot, task)
     facts = {

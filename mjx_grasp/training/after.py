@@ -17,7 +17,7 @@ from mjx_grasp.evaluation.tables import read_groups, success_table, untrained_no
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.handoff.dataset import HandoffSet
-from mjx_grasp.learning.controller import policy_task
+from mjx_grasp.learning.controller import deployed_task, policy_task
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
@@ -147,7 +147,7 @@ def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed:
         noise: Of the starts.
         seed: Of the starts.
     """
-    task = policy_task(policy)
+    task = deployed_task(policy)
     run = world.task("mujoco", 8, task, noise, with_privileged=False)
     draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
     trials, qpos = record_trials(run, policy.controller(), draw)

@@ -187,6 +187,8 @@ def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(mon
     draws = {}, {"friction": 0.5}, {"offset_mm": 9.0}
     budgets, turned = {"force_budget": 8.0}, ({"angle_deg": 3.0}, {"angle_deg": 6.0})
     assert evaluated(*draws, budgets, config=own.config, policy=own.policy) == (1, 1)
+    assert evaluated({}, {"keeping_gain": 7.0}, config=own.config, policy=own.policy) == (2, 1)
+    assert [task.config.observation.keeping.gain for task in tasks][1] == 7.0
     assert evaluated({}, *turned, config=own.config, policy=own.policy) == (2, 1)
     task = own.policy.meta["task"]
     paid = task | {"reward": task["reward"] | {"hard": task["reward"]["hard"] - 1.0}}

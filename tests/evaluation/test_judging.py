@@ -245,7 +245,7 @@ def groups_of(tmp_path, *rows):
 def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     forces = (2.0,) * 4
     rows = [
-        row("SSSS", forces, force_budget_n=3.0),
+        row("SSSS", forces, force_budget_n=3.0, keeping_gain=3.0),
         row("SSSL", (1.0,) * 4, force_budget_n=1.5),
         row("SSSL", forces, controller="grip", grip_force_n=2.5, grip_friction=0.4),
         squeeze(3.0, "SLLL", (1.0,) * 4),
@@ -257,10 +257,14 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
         "policy": 2, "grip": 1, "squeeze": 2,
     }  # fmt: skip
     lines = {line[1]: line for line in equal_force_table(groups).rows}
-    assert set(lines) == {"policy, budget 3 N", "policy, budget 1.5 N", "grip 2.5 N, μ₀ 0.4"}
+    assert set(lines) == {
+        "policy, budget 3 N",
+        "policy, budget 1.5 N, not kept",
+        "grip 2.5 N, μ₀ 0.4",
+    }
     against = {name: [cell.split(" ")[0] for cell in line[4:8]] for name, line in lines.items()}
     assert against["policy, budget 3 N"] == ["+50.0", "50.0", "+25.0", "25.0"]
-    assert against["policy, budget 1.5 N"] == ["+50.0", "75.0", "+37.5", "62.5"]
+    assert against["policy, budget 1.5 N, not kept"] == ["+50.0", "75.0", "+37.5", "62.5"]
     assert against["grip 2.5 N, μ₀ 0.4"] == ["+25.0", "50.0", "", ""]
     assert lines["policy, budget 3 N"][-1] == "3 / 7"
 

@@ -59,7 +59,7 @@ def test_the_file_is_plain_json_with_the_documented_names(tmp_path):
         "angle_deg", "friction", "handoffs", "outcomes", "force_held_n", "force_peak_p50_n",
         "force_peak_p99_n", "forces_n", "starts", "squeeze_split", "grip_force_n",
         "grip_friction", "mass_scale", "force_budget_n", "robot_errors",
-        "reached_share", "friction_spread", "label",
+        "keeping_gain", "reached_share", "friction_spread", "label",
     }  # fmt: skip
 
 

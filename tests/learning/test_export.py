@@ -18,7 +18,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.learning import export
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import deployed_task, load_controller, policy_task
 from mjx_grasp.learning.driver_facts import _finite, budget_facts, joint_facts
 from mjx_grasp.learning.export import ExportConfig, export_policy, trial_observations
 from mjx_grasp.learning.numpy_policy import NumpyPolicy
@@ -99,7 +99,7 @@ def test_the_graph_has_the_names_that_are_promised(session):
 
 def test_a_driver_finds_what_it_needs(session, robot):
     said, policy = facts(session), load_policy(SHIPPED)
-    task = policy_task(policy)
+    task = deployed_task(policy)
     assert said["format"] == {"name": "mjx_grasp policy export", "version": 1}
     assert said["robot"] == {"name": robot.name, "digest": robot.digest}
     assert [joint["name"] for joint in said["joints"]] == list(robot.joints)

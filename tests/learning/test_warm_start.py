@@ -11,6 +11,7 @@ import tiny_training as tiny
 from brax.training.agents.ppo import networks
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.closing.learned import KeepingConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.policy import Policy, load_policy
 from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks
@@ -96,6 +97,9 @@ def test_the_shipped_policy_fits_the_presets_that_feel(robot):
     for preset in ("cpu", "gpu"):
         config = replace(settings_of(preset), start_from="shipped")
         assert start_policy(config, robot).meta == load_policy(asset_path("policy.npz")).meta
+        seen = replace(config.task.observation, keeping=KeepingConfig(gain=7.0))
+        other = replace(config, task=replace(config.task, observation=seen))
+        assert start_policy(other, robot) is not None, "how it is held to a budget may differ"
     nothing = replace(settings_of("gpu"), start_from=None)
     assert start_policy(nothing, robot) is None and start_file(nothing) is None
 

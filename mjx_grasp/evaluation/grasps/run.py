@@ -8,7 +8,7 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController, check_closing
-from mjx_grasp.learning.controller import check_deployable, load_controller, policy_task
+from mjx_grasp.learning.controller import check_deployable, deployed_task, load_controller
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
@@ -78,7 +78,7 @@ def loaded_policy(
         FileError: The policy is unreadable, of another robot or task, or reads what no robot knows.
     """
     policy = load_controller(file, robot)
-    task = policy_task(policy)
+    task = deployed_task(policy)
     if isinstance(task, EndToEndConfig):
         raise FileError(file, "a policy that reaches by itself", "one of the closing task")
     check_deployable(file, task)

@@ -133,15 +133,16 @@ def asked_controllers(
         knows_budget: Whether the policy is given a force budget.
     """
     budgets = config.force_budgets if knows_budget else config.force_budgets[:1]
+    alone = replace(base, keeping_gain=0.0)  # who has no budget is the same whatever it is
     return [
         *(replace(base, force_budget=budget) for budget in budgets if config.with_policy),
         *(
-            replace(base, controller="squeeze", squeeze_force=force, squeeze_split=split)
+            replace(alone, controller="squeeze", squeeze_force=force, squeeze_split=split)
             for split in config.squeeze_splits
             for force in config.squeeze_forces
         ),
         *(
-            replace(base, controller="grip", grip=replace(REACTING, friction=friction))
+            replace(alone, controller="grip", grip=replace(REACTING, friction=friction))
             for friction in config.grip_frictions
         ),
     ]

@@ -101,6 +101,21 @@ def test_what_is_known_of_the_same_policy_is_not_run_either(script, first, tmp_p
     assert not script.ran
 
 
+def test_how_a_policy_is_held_to_its_budget_is_its_own_affair(script, first, tmp_path):
+    """The others are known whatever it is, from files of before it was a setting as well."""
+    told = replace(first, out=tmp_path / "told.json", known=(first.out,), keeping_gain=0.0)
+    script.main(told)
+    assert [each.controller for each in script.ran] == 2 * script.policies * ["policy"]
+    assert all(each.keeping_gain == 0.0 for each in script.ran)
+    script.ran.clear()
+    record = json.loads(told.out.read_text())
+    del record["settings"]["keeping_gain"]
+    told.out.write_text(json.dumps(record))
+    script.main(replace(first, out=tmp_path / "kept.json", known=(told.out,)))
+    assert [each.controller for each in script.ran] == 2 * script.policies * ["policy"]
+    assert all(each.keeping_gain > 0.0 for each in script.ran)
+
+
 def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):
     record = json.loads(first.out.read_text())
     record["rows"] = record["rows"][: len(NAMES) * (script.policies + 1)]

@@ -46,6 +46,7 @@ from mjx_grasp.records.settings import (
     NonNegative,
     Positive,
     Seed,
+    added,
     from_record,
     to_record,
 )
@@ -104,7 +105,7 @@ class ComparisonConfig(Spread):
     """whether the policy is among the controllers"""
     force_budgets: tuple[Positive, ...] = (3.0,)
     """that a policy which knows a budget is given, one after the other [N]"""
-    keeping_gain: NonNegative = KEEPING.gain
+    keeping_gain: NonNegative = added(KEEPING.gain, absent=0.0)
     """how fast the budget that it is told follows what it spares or spends too much; 0: it is told
     its own, as in its training [1/s]"""
     squeeze_forces: tuple[NonNegative, ...] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
@@ -203,7 +204,6 @@ def what_is_known(
     settings = stored.extra.get("settings")
     if isinstance(settings, dict):  # where it has its rows from does not matter
         settings = {name: value for name, value in settings.items() if name != "known"}
-        settings.setdefault("keeping_gain", 0.0)  # files of before that was a setting
     try:
         earlier = from_record(ComparisonConfig, settings, "settings")
     except InputError as error:

@@ -115,6 +115,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "choice-all": policy_tables.choice(
                 folder / "choice" / "all", folder / "training_runs.json"
             ),
+            "keeping": policy_tables.keeping(folder),
+            "kept-in-training": policy_tables.kept_in_training(folder),
             "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),

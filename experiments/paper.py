@@ -232,10 +232,13 @@ PARTS = (
     ),
     Part(
         "ablation",
-        "whole grasps without one part of the method each",
+        "whole grasps without one part of the method each, and a policy that only knows its budget",
         (
             "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 16 "
             "--processes SHARERS",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
+            "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --keeping-gain 0 --squeeze-forces "
+            "--episodes 128 --processes CORES --out experiments/results/not_kept/eight.json",
             "experiments/pipeline_ablation.py --objects-dir SCANS --objects bowl toy_airplane "
             "pitcher_base mug cracker_box --variants full sideways walls-alike --scenarios nominal "
             "--episodes 24 --processes SHARERS "

@@ -17,7 +17,12 @@ from collect_runs import run_rows
 from stage_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.judging import resampled, same_starts, success_within
+from mjx_grasp.evaluation.judging import (
+    gains_within,
+    resampled,
+    same_starts,
+    success_within,
+)
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
@@ -45,8 +50,11 @@ def comparisons(folder: Path) -> list[Path]:
 def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
     """The evaluated policies whose training is in the table of runs, in that table's order.
 
+    All of them were told their budget alone.
+
     Args:
-        folder: The results files; those of single policies are in its `seeds`.
+        folder: The results files; those of policies are in its `seeds`, the shipped one's in its
+            `not_kept`.
         shipped: The policy that an evaluation takes if its command names none.
 
     Raises:
@@ -55,7 +63,7 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
     table = folder / "training_runs.json"
     trained = {row["run"]: row for row in run_rows(table)} if table.exists() else {}
     found = []
-    for path in (*comparisons(folder), *sorted((folder / "seeds").glob("*.json"))):
+    for path in sorted((*folder.glob("not_kept/*.json"), *folder.glob("seeds/*.json"))):
         own = [
             (condition, column)
             for condition, columns in read_groups([path]).items()
@@ -202,6 +210,63 @@ def told(folder: Path) -> str:
     header = ("condition", "budget N", "policy", "trials", "success % at N")
     header += ("within 3 N %", "within 4 N %")
     return markdown(Table("Told the truth", header, tuple(lines), names=3))
+
+
+def keeping(folder: Path) -> str:
+    """What it brings that the shipped policy is held to its budget, from the same trials.
+
+    Args:
+        folder: The results files; where it is told the budget alone they are in its `not_kept`.
+    """
+    paths = folder / "not_kept" / "eight.json", folder / "eight_native.json"
+    return _within_own_budget(paths, ("told alone", "held to it"))
+
+
+def kept_in_training(folder: Path) -> str:
+    """The shipped policy beside one that went on training while it was held to its budget.
+
+    Args:
+        folder: The results files; theirs are in its `kept_training`.
+    """
+    paths = (folder / "kept_training" / f"{name}.json" for name in ("shipped", "further"))
+    return _within_own_budget(tuple(paths), ("shipped", "trained further"))
+
+
+def _within_own_budget(paths: tuple[Path, Path], names: tuple[str, str]) -> str:
+    """Two policies, each of one file, by condition and budget; trials are the same."""
+    if not all(path.exists() for path in paths):
+        return NOTHING
+    first, second = (_by_budget(path) for path in paths)
+    lines = []
+    for at in (at for at in first if at in second):
+        condition, budget = at
+        pair = first[at], second[at]
+        trials = same_starts([list(column.rows.values()) for column in pair])
+        (gain,) = gains_within(trials, resampled(trials), [1], [0], np.array([budget]))
+        cells = []
+        for column in pair:
+            cells += [
+                f"{column.mean()[0]:.1f} at {column.forces()[0]:.2f}",
+                f"{_within(column, budget):.1f}",
+            ]
+        count = f"{trials.success.shape[1]:,}"
+        lines.append((condition.short(), f"{budget:g}", count, *cells, gain.text()))
+    header = ("condition", "budget N", "trials")
+    for name in names:
+        header += (f"{name}: success % at N", "within its budget %")
+    header += ("gain within it, points",)
+    return markdown(Table("Held to a budget", header, tuple(lines), names=2))
+
+
+def _by_budget(path: Path) -> dict[tuple[Condition, float], Column]:
+    """The policies of a file by condition and budget, the easiest condition first."""
+    groups = read_groups([path])
+    return {
+        (condition, _budget(column)): column
+        for condition in sorted(groups, key=_ease)
+        for column in sorted(groups[condition], key=_budget)
+        if column.family == "policy"
+    }
 
 
 def _budget(column: Column) -> float:

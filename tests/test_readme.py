@@ -310,6 +310,30 @@ def test_a_policy_that_knows_more_stands_beside_one_trained_alike_with_the_same_
     ]
 
 
+def test_a_policy_that_is_held_to_its_budget_stands_beside_itself(tmp_path):
+    def row(outcomes, forces, **settings):
+        lifted = outcomes.count("S")
+        found = {"episodes": 4, "never_lifted": 4 - lifted, "ci95": wilson_interval(lifted, 4)}
+        found |= {"outcomes": outcomes, "forces_n": forces, "starts": (0, 1, 2, 3)}
+        found |= {"force_mean_n": sum(forces) / 4, "force_budget_n": 3.0}
+        return replace(result("apple", lifted, 5.0), **found | settings)
+
+    (tmp_path / "not_kept").mkdir()
+    told = row("SSSL", (4.0, 3.5, 2.0, 0.5))
+    kept = row("SSSL", (2.8, 3.5, 2.7, 1.0), keeping_gain=3.0)
+    squeeze = replace(told, controller="squeeze", squeeze_force_n=3.0, force_budget_n=None)
+    more = row("SSSS", (2.8, 3.5, 2.7, 1.0), keeping_gain=3.0, force_budget_n=8.0)
+    table = make_readme.policy_tables.keeping
+    write_results(tmp_path / "not_kept" / "eight.json", [told, squeeze], PROVENANCE, FIRST_ROBOT)
+    assert table(tmp_path) == make_readme.closing_tables.NOTHING
+    write_results(tmp_path / "eight_native.json", [kept, squeeze, more], PROVENANCE, FIRST_ROBOT)
+    _, _, *lines = table(tmp_path).splitlines()
+    (line,) = (values(line) for line in lines)
+    assert line[0] == "native MuJoCo, ±5 mm, friction 0.8"
+    assert line[1:7] == ["3", "4", "75.0 at 2.50", "25.0", "75.0 at 2.50", "50.0"]
+    assert line[7].startswith("+25.0 (")
+
+
 def test_results_of_a_policy_that_was_shipped_before_are_named(tmp_path):
     """By the hash of its file; a file that knows of no policy, or of today's, is not."""
     shipped = tmp_path / "policy.npz"

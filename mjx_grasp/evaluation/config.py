@@ -83,3 +83,26 @@ class EvaluateConfig(ObjectsConfig, Spread):
             budget_n=(self.force_budget, self.force_budget),
             robot=self.robot_errors,
         )
+
+
+_OWN = {
+    "policy": ("policy", "force_budget", "keeping_gain"),
+    "squeeze": ("squeeze_force", "squeeze_split"),
+    "grip": ("grip",),
+}
+"""Fields that mean something to one controller alone."""
+
+
+def check_own_settings(config: EvaluateConfig) -> None:
+    """Refuses settings of another controller than the one that is evaluated.
+
+    Raises:
+        InputError: One differs from its default.
+    """
+    usual = EvaluateConfig(config.out)
+    for controller, names in _OWN.items():
+        for name in names if controller != config.controller else ():
+            value = getattr(config, name)
+            if value != getattr(usual, name):
+                expected = f"nothing beside --controller {config.controller}: it is of {controller}"
+                raise InputError(config.name_of(name), value, expected)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.config import EvaluateConfig, check_own_settings
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import chosen_states, evaluate
 from mjx_grasp.evaluation.trials import incidents
@@ -81,6 +81,7 @@ def evaluate_to_file(config: EvaluateConfig, console: Console) -> list[ResultRow
         InputError, FileError: A setting or file that cannot work; nothing is written then.
     """
     check_writable("--out", config.out)
+    check_own_settings(config)
     own = _loaded(config)
     if own.without:
         console.print(f"[yellow]no start states, left out: {', '.join(own.without)}[/yellow]")

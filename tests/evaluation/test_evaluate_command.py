@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import job as module
 from mjx_grasp.evaluation import run
@@ -45,6 +46,25 @@ def test_impossible_conditions_are_refused_by_their_flag(field, value):
     with pytest.raises(InputError) as error:
         EvaluateConfig(out=Path("x.json"), **{field: value})
     assert error.value.field == "--" + field.replace("_", "-")
+
+
+@pytest.mark.parametrize(
+    ("controller", "field", "value"),
+    [
+        ("policy", "squeeze_force", 5.0),
+        ("policy", "grip", GripConfig(force=5.0)),
+        ("squeeze", "policy", Path("policy.npz")),
+        ("squeeze", "force_budget", 8.0),
+        ("grip", "squeeze_split", "balanced"),
+        ("grip", "keeping_gain", 0.0),
+    ],
+)
+def test_settings_of_another_controller_are_refused(monkeypatch, controller, field, value):
+    monkeypatch.setattr(module, "_loaded", None)
+    config = EvaluateConfig(out=Path("x.json"), controller=controller, **{field: value})
+    with pytest.raises(InputError, match=f"expected nothing beside --controller {controller}") as e:
+        evaluate(config)
+    assert e.value.field == "--" + field.replace("_", "-")
 
 
 def test_the_largest_errors_of_a_start_are_allowed():

@@ -1,9 +1,10 @@
-"""Draws success against the contact force that it took: the shipped policy, grip and squeeze.
+"""Draws success against contact force: the shipped policy, grip and squeeze, a panel per condition.
 
   python experiments/force_figure.py
 
-reads the evaluations of the eight objects in native MuJoCo and draws `docs/success_force.png`, one
-panel per condition. Other trained policies are in the tables.
+reads the evaluations of the eight objects in native MuJoCo and draws `docs/success_force.png`,
+success against the force that it took, and `docs/success_within.png`, the share of trials that are
+lifted within a force. Other trained policies are in the tables.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from closing_tables import with_more
 from policy_tables import comparisons
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.tables import Column, read_groups
+from mjx_grasp.evaluation.front_tables import front_panels
+from mjx_grasp.evaluation.tables import Groups, read_groups
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings
-from mjx_grasp.viz.plots import success_against_force
+from mjx_grasp.viz.plots import success_against_force, success_within_budgets
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -33,17 +36,19 @@ class FigureConfig(CommandSettings):
     engine: str = "mujoco"
     """engine of the evaluations"""
     out: Path = ROOT / "docs" / "success_force.png"
+    within: Path = ROOT / "docs" / "success_within.png"
 
 
-def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
+def evaluated(folder: Path, engine: str) -> Groups:
     """The controllers of every condition.
 
     Raises:
         FileError: There is no evaluation in that engine.
     """
+    told = read_groups(sorted(folder.glob("not_kept/*.json")))
     found = {
-        condition.short(): list(columns)
-        for condition, columns in read_groups(comparisons(folder)).items()
+        condition: columns
+        for condition, columns in with_more(read_groups(comparisons(folder)), told).items()
         if condition.engine == engine
     }
     if not found:
@@ -54,9 +59,15 @@ def panels(folder: Path, engine: str) -> dict[str, list[Column]]:
 def main(config: FigureConfig) -> None:
     """The command."""
     check_writable("--out", config.out)
-    picture = success_against_force(panels(config.results, config.engine))
-    with replacing(config.out) as temporary:
-        temporary.write_bytes(picture)
+    check_writable("--within", config.within)
+    groups = evaluated(config.results, config.engine)
+    by_force = {condition.short(): columns for condition, columns in groups.items()}
+    for path, picture in (
+        (config.out, success_against_force(by_force)),
+        (config.within, success_within_budgets(front_panels(groups))),
+    ):
+        with replacing(path) as temporary:
+            temporary.write_bytes(picture)
 
 
 if __name__ == "__main__":

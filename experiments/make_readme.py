@@ -75,7 +75,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         },
         root / "experiments" / "README.md": {
             "tables": closing_tables.all_conditions(
-                results, sorted((folder / "squeezes").glob("*.json"))
+                results, sorted((*folder.glob("squeezes/*.json"), *folder.glob("not_kept/*.json")))
             ),
             "least-force": closing_tables.least_by_contacts(folder / "least_force.json"),
             "conditions": closing_tables.conditions(folder / "conditions"),

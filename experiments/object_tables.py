@@ -16,6 +16,7 @@ from stage_tables import NOTHING, markdown
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.results import ResultRow, read_results
+from mjx_grasp.evaluation.tables import NOT_KEPT, POLICIES
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
@@ -41,13 +42,14 @@ class Controller(NamedTuple):
         """In a table's header."""
         if self.force is None:
             return self.family
-        what = "policy, budget" if self.family == "policy" else self.family
+        what = f"{self.family}, budget" if self.family in POLICIES else self.family
         return f"{what} {self.force:g} N"
 
 
 def _of(row: ResultRow) -> Controller:
     forces = {"policy": row.force_budget_n, "squeeze": row.squeeze_force_n}
-    return Controller(row.controller, forces.get(row.controller))
+    told = row.force_budget_n is not None and not row.keeping_gain
+    return Controller(row.controller + (NOT_KEPT if told else ""), forces.get(row.controller))
 
 
 def objects(path: Path) -> str:

@@ -24,7 +24,7 @@ from mjx_grasp.evaluation.judging import (
     success_within,
 )
 from mjx_grasp.evaluation.results import read_results
-from mjx_grasp.evaluation.tables import Column, Condition, Groups, read_groups
+from mjx_grasp.evaluation.tables import POLICIES, Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import file_digests
@@ -68,7 +68,7 @@ def evaluated_policies(folder: Path, shipped: Path) -> list[Evaluated]:
             (condition, column)
             for condition, columns in read_groups([path]).items()
             for column in columns
-            if column.family == "policy"
+            if column.family in POLICIES
         ]
         if own and (run := _run_of(path, shipped)) in trained:
             row = trained[run]
@@ -265,7 +265,7 @@ def _by_budget(path: Path) -> dict[tuple[Condition, float], Column]:
         (condition, _budget(column)): column
         for condition in sorted(groups, key=_ease)
         for column in sorted(groups[condition], key=_budget)
-        if column.family == "policy"
+        if column.family in POLICIES
     }
 
 

@@ -21,7 +21,7 @@ from mjx_grasp.evaluation.judging import (
     success_within,
     success_within_by_any,
 )
-from mjx_grasp.evaluation.tables import Column, Condition, Groups
+from mjx_grasp.evaluation.tables import POLICIES, Column, Condition, Groups
 from mjx_grasp.records.table import Table
 
 BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0)
@@ -161,11 +161,12 @@ def object_budget_table(groups: Groups) -> Table:
     asked = np.asarray(_OBJECT_BUDGETS_N)
     for condition, front in _all(groups):
         names, of = sorted(front.columns[0].rows), front.trials.object
-        if "policy" not in front.families or len(names) == 1:
+        policies = [i for name in POLICIES for i in front.families.get(name, ())]
+        if not policies or len(names) == 1:
             continue
         for k, name in enumerate(names):
             weights = ((of == k) / np.sum(of == k))[None]
-            best = success_within(front.trials, weights, front.families["policy"], asked)[0]
+            best = success_within(front.trials, weights, policies, asked)[0]
             any_ = success_within_by_any(front.trials, weights, asked)[0]
             shares = (f"{x:.1f}" for pair in zip(best, any_, strict=True) for x in pair)
             rows.append((condition.short(), name.replace("_", " "), *shares))

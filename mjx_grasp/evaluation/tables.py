@@ -62,6 +62,12 @@ class Condition(NamedTuple):
         return spread + mass + _errors_text(self.robot_errors)
 
 
+NOT_KEPT = ", not kept"
+"""Behind the name of a policy that is told its budget and not held to it."""
+POLICIES = "policy", f"policy{NOT_KEPT}"
+"""The families of a policy that has no name of its own."""
+
+
 class Column(NamedTuple):
     """One controller under a condition."""
 
@@ -237,6 +243,7 @@ def _columns(
     found = []
     for key, part in parts.items():
         family = (key.label or policy_label) if key.controller == "policy" else key.controller
+        family += NOT_KEPT if key.force_budget_n is not None and not key.keeping_gain else ""
         condition = Condition(
             key.engine,
             key.handoffs,
@@ -259,10 +266,7 @@ def _setting(row: ResultRow) -> str:
     text += ", balanced" if row.squeeze_split == "balanced" else ""
     text += "" if row.grip_force_n is None else f" {row.grip_force_n:g} N"
     text += "" if row.grip_friction is None else f", μ₀ {row.grip_friction:g}"
-    if row.force_budget_n is None:
-        return text
-    kept = "" if row.keeping_gain else ", not kept"
-    return f"{text}, budget {row.force_budget_n:g} N{kept}"
+    return text + ("" if row.force_budget_n is None else f", budget {row.force_budget_n:g} N")
 
 
 def _errors_text(errors: RobotErrors) -> str:

@@ -21,7 +21,7 @@ from matplotlib.ticker import EngFormatter
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.front_tables import Front
 from mjx_grasp.evaluation.judging import interval
-from mjx_grasp.evaluation.tables import Column
+from mjx_grasp.evaluation.tables import POLICIES, Column
 
 Metrics = dict[str, Float[np.ndarray, " t"]]
 
@@ -36,11 +36,17 @@ GREY = "#5b6470"
 """Of words."""
 _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
 _LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
-# Of the words beside a point: below or beside the points of these, above those of policies.
-_LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (8, -3)}, (-5, 6)
+# Of the words beside a point: below or beside the points of these, above those of others.
+_LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (8, -3), "policy": (7, -9)}, (-5, 6)
+_HELD, _TOLD = POLICIES
 _TITLE = 46  # letters in a line above a panel
 _ROOM = 0.36, 6.0  # N and % that words of two points need between them
-_LEGEND = {"squeeze": "squeeze, by the force commanded", "grip": "answering grip, by its μ₀"}
+_LEGEND = {
+    "squeeze": "squeeze, by the force commanded",
+    "grip": "answering grip, by its μ₀",
+    _HELD: "policy, held to its budget",
+    _TOLD: "policy, told its budget alone",
+}
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
 
@@ -121,10 +127,12 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
         ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
         ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in dict.fromkeys(p.family for p in part):
-            shown[family] = _front(ax, [p for p in part if p.family == family], *looks[family])
+            beside = any(p.family == _HELD for p in part)
+            own = [p for p in part if p.family == family]
+            shown[family] = _front(ax, own, *looks[family], beside)
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
     grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
-    names = [*(name for name in _LEGEND if name in shown), *(n for n in families if n in shown)]
+    names = [name for name in dict.fromkeys((*_LEGEND, *families)) if name in shown]
     figure.legend(
         handles=[shown[name] for name in names],
         labels=[_LEGEND.get(name, name) for name in names],
@@ -164,8 +172,9 @@ def success_within_budgets(panels: Mapping[str, Front]) -> bytes:
             ax.fill_between(_BUDGETS, *interval(values), color=colour, alpha=0.15, linewidth=0)
     grid[0].set_ylabel("lifted within the budget [%]", fontsize=9, color=GREY)
     names = [name for name in families if name in shown]
+    policies = {name: _LEGEND[name] for name in POLICIES}
     figure.legend(
-        handles=[shown[name] for name in names], labels=names,
+        handles=[shown[name] for name in names], labels=[policies.get(n, n) for n in names],
         loc="outside lower center", ncols=min(4, 2 * len(panels) - 1), frameon=False, fontsize=8,
     )  # fmt: skip
     return png(figure)
@@ -197,8 +206,18 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
     return points
 
 
-def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
-    """Controllers of one family, joined, with what they were asked for where there is room."""
+def _front(
+    ax: Axes, points: Sequence[_Point], marker: str, colour: str, beside: bool
+) -> ErrorbarContainer:
+    """Controllers of one family, joined, with what they were asked for where there is room.
+
+    Args:
+        ax: Where to.
+        points: The controllers.
+        marker: Of the points.
+        colour: Of the points and words.
+        beside: Whether a policy that is held to its budget is in the picture.
+    """
     points, named = sorted(points), None
     x, y = _LABELS.get(points[0].family, _ABOVE)
     ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
@@ -208,7 +227,9 @@ def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> Erro
             point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
             color=colour, capsize=3, markersize=6,
         )  # fmt: skip
-        if len(points) > 1 and (named is None or _apart(named, point)):
+        # Beside one that is held to its budgets the other's are the same, in the same order.
+        silent = beside and point.family == _TOLD
+        if len(points) > 1 and not silent and (named is None or _apart(named, point)):
             named = point
             ax.annotate(
                 point.setting.rpartition(", ")[2].removeprefix("budget "),

@@ -246,7 +246,7 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     forces = (2.0,) * 4
     rows = [
         row("SSSS", forces, force_budget_n=3.0, keeping_gain=3.0),
-        row("SSSL", (1.0,) * 4, force_budget_n=1.5),
+        row("SSSL", (1.0,) * 4, force_budget_n=1.5, keeping_gain=3.0),
         row("SSSL", forces, controller="grip", grip_force_n=2.5, grip_friction=0.4),
         squeeze(3.0, "SLLL", (1.0,) * 4),
         squeeze(5.0, "SSLL", forces),
@@ -259,12 +259,12 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     lines = {line[1]: line for line in equal_force_table(groups).rows}
     assert set(lines) == {
         "policy, budget 3 N",
-        "policy, budget 1.5 N, not kept",
+        "policy, budget 1.5 N",
         "grip 2.5 N, μ₀ 0.4",
     }
     against = {name: [cell.split(" ")[0] for cell in line[4:8]] for name, line in lines.items()}
     assert against["policy, budget 3 N"] == ["+50.0", "50.0", "+25.0", "25.0"]
-    assert against["policy, budget 1.5 N, not kept"] == ["+50.0", "75.0", "+37.5", "62.5"]
+    assert against["policy, budget 1.5 N"] == ["+50.0", "75.0", "+37.5", "62.5"]
     assert against["grip 2.5 N, μ₀ 0.4"] == ["+25.0", "50.0", "", ""]
     assert lines["policy, budget 3 N"][-1] == "3 / 7"
 
@@ -280,6 +280,22 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     text = " ".join(headline(groups))
     assert "policy, budget 3 N: 100.0 % lifted at 2.0 N per finger" in text
     assert "a squeeze of the same force lifts 50.0 %, +50.0 (" in text
+
+
+def test_a_policy_that_is_only_told_its_budget_is_a_family_of_its_own(tmp_path):
+    told = {"force_budget_n": 3.0}
+    rows = [
+        row("SSLL", (2.0,) * 4, **told, keeping_gain=3.0),
+        row("SSSL", (2.0, 2.0, 4.0, 2.0), **told, keeping_gain=0.0),
+        replace(row("SSSS", (2.5,) * 4, **told), label="mine"),
+        squeeze(5.0, "LLLS", (2.0,) * 4),
+    ]
+    groups = groups_of(tmp_path, *rows)
+    budgets = {line[1]: line[2:] for line in budget_table(groups).rows}
+    assert budgets["policy"][2:4] == ("50.0", "50.0")  # 3 N, 4 N
+    assert budgets["policy, not kept"][2:4] == ("50.0", "75.0")
+    assert budgets["mine, not kept"][2:4] == ("100.0", "100.0")
+    assert "policy, not kept, budget 3 N" in {line[1] for line in equal_force_table(groups).rows}
 
 
 def test_what_is_lifted_within_a_budget_is_told_object_by_object(tmp_path):

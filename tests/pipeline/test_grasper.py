@@ -12,7 +12,7 @@ from scripted import ScriptedPhysics, draw_of, still
 
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, ActionConfig, CloserConfig, LiftConfig, StageConfig
-from mjx_grasp.closing.learned import LearnedPolicy, ObservationConfig
+from mjx_grasp.closing.learned import KEEPING, LearnedPolicy, ObservationConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
@@ -458,9 +458,8 @@ def test_closing_is_that_of_the_task_in_which_policies_are_trained(
     make, known, starts, scene, robot
 ):
     """The same observations, so the same actions and commands, tick by tick."""
-    config = ClosingTaskConfig(
-        grip=REACTING, observation=ObservationConfig(forces=True, budget=True)
-    )
+    seen_of_it = ObservationConfig(forces=True, budget=True, keeping=KEEPING)
+    config = ClosingTaskConfig(grip=REACTING, observation=seen_of_it)
     rows, length = jnp.array([0, 4, 8]), 12
     script = still(starts, rows, length)
     rng = np.random.default_rng(0)

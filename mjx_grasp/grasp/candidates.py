@@ -52,9 +52,15 @@ def vertex_candidates(heatmap: Heatmap, score: Float[Array, " v"] | None = None)
     Args:
         heatmap: Of the object.
         score: Steered scores; the heatmap's own if None.
+
+    Raises:
+        InputError: The scores are not one of each candidate.
     """
     heatmap = jax.tree.map(jnp.asarray, heatmap)
     scores = heatmap.score if score is None else jnp.asarray(score)
+    if scores.shape != heatmap.score.shape:
+        expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
+        raise InputError("score", f"shape {scores.shape}", expected)
     return Candidates(
         thumb=heatmap.thumb,
         normal=heatmap.normals,
@@ -81,7 +87,7 @@ def from_heatmap(
         count: How many.
 
     Raises:
-        InputError: A count below one.
+        InputError: A count below one, or scores that are not one of each candidate.
     """
     if count is not None and count < 1:
         raise InputError("count", count, "a whole number from 1")

@@ -177,7 +177,13 @@ def steer_contacts(
         size: Edges of the box along the object's axes [m]; a point if None.
         sigma: Distance of one contact at which a score falls to 1/e [m]; :func:`contact_sigma` of
             the size if None.
+
+    Raises:
+        InputError: The anchor is not one point, or the size not three edges.
     """
+    for name, value in (("anchor", anchor), ("size", size)):
+        if value is not None and jnp.shape(value) != (3,):
+            raise InputError(name, f"shape {jnp.shape(value)}", "three numbers in m")
     half = jnp.zeros(3) if size is None else 0.5 * jnp.asarray(size)
     sigma = contact_sigma(2.0 * half) if sigma is None else sigma
     contacts = jnp.concatenate([heatmap.thumb[:, None], heatmap.wrap], axis=1)

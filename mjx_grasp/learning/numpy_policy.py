@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.learning.stored_policy import StoredPolicy
 
 
@@ -15,7 +16,14 @@ class NumpyPolicy(StoredPolicy):
     """
 
     def __call__(self, obs: Float[np.ndarray, "*b d"]) -> Float[np.ndarray, "*b a"]:
-        """Actions in ±1 for observations, as `Policy` gives them; float32."""
+        """Actions in ±1 for observations, as `Policy` gives them; float32.
+
+        Raises:
+            InputError: The observations are not of as many numbers as the policy reads.
+        """
+        if np.shape(obs)[-1:] != (self.observation_size,):
+            expected = f"{self.observation_size} numbers last, which the policy reads"
+            raise InputError("obs", f"shape {np.shape(obs)}", expected)
         x = (np.asarray(obs, np.float32) - self.mean) / self.std
         *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
         for w, b in hidden:

@@ -6,9 +6,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.heatmap.steering import steer, steer_many
+from mjx_grasp.heatmap.steering import steer, steer_contacts, steer_many
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 TERMS = {"width", "thumb", "wrap", "coherence", "com", "separation"}
@@ -156,6 +157,23 @@ def test_friction_cone_edge_scores_e_to_the_minus_four():
     force = jnp.float32([np.sin(lean), 0, np.cos(lean)])
     score = friction_score(force, jnp.float32([0, 0, 1]), jnp.float32(FRICTION), 0.5)
     assert score == pytest.approx(np.exp(-4), rel=1e-4)
+
+
+@pytest.mark.wrong_types
+def test_contacts_are_steered_to_one_point_or_box(lump_map):
+    for given, text in (
+        ((np.zeros((2, 3)),), r"anchor: found 'shape \(2, 3\)', expected three numbers"),
+        ((np.zeros(3), np.zeros(2)), r"size: found 'shape \(2,\)', expected three numbers"),
+    ):
+        with pytest.raises(InputError, match=text):
+            steer_contacts(lump_map, *given)
+
+
+@pytest.mark.wrong_types
+def test_candidates_have_one_score_each(lump_map):
+    v = len(lump_map.score)
+    with pytest.raises(InputError, match=rf"score: found 'shape \({v - 1},\)', expected one of"):
+        from_heatmap(lump_map, lump_map.score[1:])
 
 
 @pytest.mark.wrong_types

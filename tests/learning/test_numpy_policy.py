@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mjx_grasp.assets import asset_path
+from mjx_grasp.errors import InputError
 from mjx_grasp.learning.numpy_policy import NumpyPolicy
 from mjx_grasp.learning.policy import load_policy
 
@@ -85,6 +86,15 @@ def test_a_process_that_runs_it_loads_no_jax(shipped, tmp_path):
     np.testing.assert_allclose(
         np.load(tmp_path / "act.npy"), np.asarray(jax.jit(policy)(obs)), atol=1e-5
     )
+
+
+@pytest.mark.wrong_types
+def test_observations_of_another_size_are_refused(shipped):
+    policy = NumpyPolicy.load(shipped)
+    size = policy.observation_size
+    for shape in ((size - 1,), (3, size + 1), ()):
+        with pytest.raises(InputError, match=rf"obs: found 'shape .*expected {size} numbers last"):
+            policy(np.zeros(shape))
 
 
 def test_it_knows_robot_and_task(shipped):

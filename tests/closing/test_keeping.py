@@ -9,9 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.closer import Closer
+from mjx_grasp.closing.config import CloserConfig, StageConfig
 from mjx_grasp.closing.learned import KeepingConfig, told
 from mjx_grasp.errors import InputError
+from mjx_grasp.learning.controller import deployed_task, policy_task
+from mjx_grasp.learning.policy import load_policy
 
 DT, BUDGET = 0.01, 3.0
 KEPT = KeepingConfig(gain=3.0)
@@ -31,6 +35,30 @@ def lifted(robot, starts):
         return begun._replace(lifting=jnp.asarray(True), lift_tick=lift_tick, pressed=summed)
 
     return state
+
+
+def test_what_is_spent_is_the_mean_of_the_estimated_forces_since_lift_onset(robot, starts):
+    measured, targets = jax.tree.map(lambda rows: rows[0], (starts.measured, starts.targets))
+    closer = Closer.of(robot, CloserConfig(stages=StageConfig(acquisition_s=0.05)))
+    sense, act = jax.jit(closer.sense), jax.jit(closer.act)
+    state, rng, spent, ticks = closer.start(measured, targets), np.random.default_rng(0), 0.0, 0
+    for tick in range(12):
+        torque = rng.normal(size=measured.external_torque.shape).astype(np.float32) * 0.1
+        now = measured._replace(external_torque=torque)
+        state = sense(state, now, targets, np.full(3, tick >= 4))
+        if state.lifting:
+            spent += float(jnp.linalg.norm(closer.forces(state, now), axis=-1).mean())
+            ticks += 1
+        np.testing.assert_allclose(state.pressed, spent, rtol=1e-4)
+        state, _ = act(state, now, targets, np.zeros(closer.action_size, np.float32))
+    assert ticks == state.lift_tick + 1 == 8 and spent > 1.0
+
+
+def test_a_policy_at_work_is_held_to_its_budget_and_in_training_told_it():
+    policy = load_policy(asset_path("policy.npz"))
+    trained, deployed = policy_task(policy), deployed_task(policy)
+    assert trained.observation.keeping.gain == 0.0 < deployed.observation.keeping.gain
+    assert deployed_task(policy, keeping_gain=0.0) == trained
 
 
 forces = st.floats(0.0, 40.0)

@@ -125,7 +125,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),
             "sensitivity": sensitivity_tables.sensitivity(folder / "sensitivity.json"),
             "drawn-stiffness": sensitivity_tables.drawn_stiffness(
-                folder / "sensitivity.json", folder / "sensitivity_fixed.json"
+                folder / "sensitivity_not_kept.json", folder / "sensitivity_fixed.json"
             ),
             "stability": paper_tables.stability(folder / "lift_stability.json"),
             "sensing": sensing_tables.sensed_forces(folder / "sensed_forces.json"),

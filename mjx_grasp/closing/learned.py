@@ -30,9 +30,9 @@ class KeepingConfig(Settings):
     share: Share = 0.92
     """s: of the budget, that the mean force is to be; the rest is for errors of the estimate [-]"""
     least: Positive = 1.0
-    """that it is told, as in its training [N]"""
+    """that it is told [N]"""
     most: Positive = 12.0
-    """that it is told, as in its training [N]"""
+    """that it is told [N]"""
 
     def __post_init__(self) -> None:
         super().__post_init__()

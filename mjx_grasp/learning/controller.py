@@ -51,6 +51,8 @@ def check_deployable(path: Path, task: TaskConfig) -> None:
 def deployed_task(policy: Policy, keeping_gain: float = KEEPING.gain) -> TaskConfig:
     """The task of a policy at work: as it was trained in, but held to its force budget.
 
+    What it is told of that stays within the budgets of its training, where its file says them.
+
     Args:
         policy: The policy.
         keeping_gain: How fast the budget that it is told follows what it spares or spends too much;
@@ -60,7 +62,8 @@ def deployed_task(policy: Policy, keeping_gain: float = KEEPING.gain) -> TaskCon
         InputError: A field of the task is unknown or has an impossible value.
     """
     task = policy_task(policy)
-    keeping = replace(KEEPING, gain=keeping_gain)
+    least, most = policy.meta.get("noise", {}).get("budget_n", (KEEPING.least, KEEPING.most))
+    keeping = replace(KEEPING, gain=keeping_gain, least=least, most=most)
     return replace(task, observation=replace(task.observation, keeping=keeping))
 
 

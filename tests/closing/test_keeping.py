@@ -1,5 +1,6 @@
 """Laws of how a policy is held to its force budget: of what it is told, tick by tick."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -59,6 +60,9 @@ def test_a_policy_at_work_is_held_to_its_budget_and_in_training_told_it():
     trained, deployed = policy_task(policy), deployed_task(policy)
     assert trained.observation.keeping.gain == 0.0 < deployed.observation.keeping.gain
     assert deployed_task(policy, keeping_gain=0.0) == trained
+    noise = policy.meta["noise"] | {"budget_n": [2.0, 6.0]}
+    other = deployed_task(replace(policy, meta=policy.meta | {"noise": noise})).observation.keeping
+    assert (other.least, other.most) == (2.0, 6.0), "never beyond its training"
 
 
 forces = st.floats(0.0, 40.0)

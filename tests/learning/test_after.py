@@ -16,6 +16,7 @@ from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate, summarise
 from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.evaluation.trials import Trials
+from mjx_grasp.learning.controller import deployed_task
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import ClosingTaskConfig, RewardConfig, StartNoise
@@ -79,7 +80,8 @@ def test_the_policy_that_a_training_began_with_is_evaluated_beside_it(
         no, zeros = np.zeros(2, bool), np.zeros(2, np.int32)
         forces = [np.array([2.0, 3.0])] * 5
         trials = Trials(zeros, ~no, no, no, no, no, zeros, *forces)
-        return [summarise("box", trials, chosen, np.zeros(9, bool), config.task)], {}
+        task = deployed_task(policy, chosen.keeping_gain) if policy else config.task
+        return [summarise("box", trials, chosen, np.zeros(9, bool), task)], {}
 
     for name, instead in (
         ("build_scene", lambda *_: scene),

@@ -48,8 +48,8 @@ class Controller(NamedTuple):
 
 def _of(row: ResultRow) -> Controller:
     forces = {"policy": row.force_budget_n, "squeeze": row.squeeze_force_n}
-    told = row.force_budget_n is not None and not row.keeping_gain
-    return Controller(row.controller + (NOT_KEPT if told else ""), forces.get(row.controller))
+    family = row.controller + (NOT_KEPT if row.told_alone else "")
+    return Controller(family, forces.get(row.controller))
 
 
 def objects(path: Path) -> str:

@@ -123,6 +123,11 @@ class ResultRow:
                 raise InputError(name, getattr(self, name), "a finite number, 0 or more")
 
     @property
+    def told_alone(self) -> bool:
+        """Whether its policy was told a force budget and not held to it."""
+        return self.force_budget_n is not None and not self.keeping_gain
+
+    @property
     def success_percent(self) -> float:
         """Success rate [%]."""
         return 100.0 * self.successes / self.episodes

@@ -243,7 +243,7 @@ def _columns(
     found = []
     for key, part in parts.items():
         family = (key.label or policy_label) if key.controller == "policy" else key.controller
-        family += NOT_KEPT if key.force_budget_n is not None and not key.keeping_gain else ""
+        family += NOT_KEPT if key.told_alone else ""
         condition = Condition(
             key.engine,
             key.handoffs,

@@ -127,9 +127,10 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
         ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
         ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in dict.fromkeys(p.family for p in part):
-            beside = any(p.family == _HELD for p in part)
             own = [p for p in part if p.family == family]
-            shown[family] = _front(ax, own, *looks[family], beside)
+            # Beside one that is held to its budgets the other has the same, in their order.
+            words = family != _TOLD or all(p.family != _HELD for p in part)
+            shown[family] = _front(ax, own, *looks[family], words)
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
     grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
     names = [name for name in dict.fromkeys((*_LEGEND, *families)) if name in shown]
@@ -207,16 +208,16 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
 
 
 def _front(
-    ax: Axes, points: Sequence[_Point], marker: str, colour: str, beside: bool
+    ax: Axes, points: Sequence[_Point], marker: str, colour: str, words: bool
 ) -> ErrorbarContainer:
-    """Controllers of one family, joined, with what they were asked for where there is room.
+    """Controllers of one family, joined; with words, what they were asked for where there is room.
 
     Args:
         ax: Where to.
         points: The controllers.
         marker: Of the points.
         colour: Of the points and words.
-        beside: Whether a policy that is held to its budget is in the picture.
+        words: Whether there are any.
     """
     points, named = sorted(points), None
     x, y = _LABELS.get(points[0].family, _ABOVE)
@@ -227,9 +228,7 @@ def _front(
             point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
             color=colour, capsize=3, markersize=6,
         )  # fmt: skip
-        # Beside one that is held to its budgets the other's are the same, in the same order.
-        silent = beside and point.family == _TOLD
-        if len(points) > 1 and not silent and (named is None or _apart(named, point)):
+        if words and len(points) > 1 and (named is None or _apart(named, point)):
             named = point
             ax.annotate(
                 point.setting.rpartition(", ")[2].removeprefix("budget "),

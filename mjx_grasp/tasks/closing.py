@@ -38,6 +38,7 @@ from mjx_grasp.tasks.success import (
     failure_classes,
     in_palm,
     initial_progress,
+    slipped,
     update_progress,
 )
 from mjx_grasp.tasks.task import EpisodeSummary, Observations, TaskTick
@@ -314,8 +315,7 @@ class ClosingTask:
     ) -> tuple[Episode, Float[Array, " w"]]:
         """What came of the tick, and how far the object has slipped in the palm [m]."""
         here = in_palm(measured, truth)
-        reference = jnp.where(closer.lifting[:, None], before.object_in_palm, here)
-        slip = jnp.where(sensed.lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
+        reference, slip = slipped(before.object_in_palm, closer.lifting, sensed.lifting, here)
         rise = truth.object_pos[:, 2] - before.reset_height
         force = jnp.linalg.norm(truth.finger_force, axis=-1)
         lifted_force = jnp.where(sensed.lifting[:, None], force, 0.0)
@@ -327,7 +327,12 @@ class ClosingTask:
             stack=pushed(before.stack, step),
             object_in_palm=reference,
             progress=update_progress(
-                before.progress, rise, slip, self.config.success, self.config.control_dt
+                before.progress,
+                rise,
+                slip,
+                sensed.lifting,
+                self.config.success,
+                self.config.control_dt,
             ),
             force_sum=before.force_sum + jnp.mean(lifted_force, axis=-1),
             force_peak=jnp.maximum(before.force_peak, jnp.max(lifted_force, axis=-1)),

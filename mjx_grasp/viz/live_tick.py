@@ -18,7 +18,7 @@ from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import SuccessConfig
-from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_progress
+from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped, update_progress
 
 HELD = "lifted and held"
 """The outcome that is wanted."""
@@ -149,10 +149,10 @@ def advance(
     after, *readings = physics.step(state.physics, params, done.target[None, order], wrench)
     measured, truth = jax.tree.map(lambda leaf: leaf[0], readings)
     here = in_palm(measured, truth)
-    reference = jnp.where(before, state.reference, here)
-    slip = jnp.where(grasp.closing.closer.lifting, jnp.linalg.norm(here - reference), 0.0)
+    lifting = grasp.closing.closer.lifting
+    reference, slip = slipped(state.reference, before, lifting, here)
     rise = truth.object_pos[2] - base
-    progress = update_progress(state.progress, rise, slip, SuccessConfig(), grasper.dt)
+    progress = update_progress(state.progress, rise, slip, lifting, SuccessConfig(), grasper.dt)
     tick = LiveTick(
         phase=grasp.phase,
         failure=grasp.failure,

@@ -44,7 +44,7 @@ from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import load_object
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
-from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import PALM
 from mjx_grasp.robot.spec import load_robot
@@ -294,7 +294,7 @@ def test_the_force_is_that_of_lift_and_hold_not_of_reaching_anew():
 
 
 def row_of(
-    rise, hit=False, success=True, top=1.0, hold_s=1.0, force=None, over=None, lost=slice(0)
+    rise, hit=False, success=True, failure=Failure.NONE, force=None, over=None, lost=slice(0)
 ):
     ticks = len(rise)
     force = np.ones((ticks, 1, 3)) if force is None else force
@@ -302,31 +302,33 @@ def row_of(
     phase = np.full((ticks, 1), Phase.HOLDING)
     phase[:50], phase[50:60], phase[60:100] = Phase.REACHING, Phase.CLOSING, Phase.LIFTING
     phase[lost] = Phase.REACHING
-    entered = np.full((1, len(Phase)), np.nan)
-    entered[0, Phase.HOLDING] = top
     handoff = SimpleNamespace(error=np.zeros((1, 3)), midpoint=np.zeros(1))
-    state = SimpleNamespace(
-        failure=np.array([0]), entered=entered, handoff=handoff, returns=np.array([0])
-    )
+    state = SimpleNamespace(failure=np.array([failure]), handoff=handoff, returns=np.array([0]))
     progress = initial_progress((1,))._replace(success=jnp.array([success]))
     end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]))
     trace = SimpleNamespace(phase=phase, force=force, rise=np.array(rise)[:, None], over=over)
     problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((1, 2)))
-    return grasp_rows(["box"], problem, end, trace, DT, hold_s)[0]
+    return grasp_rows(["box"], problem, end, trace, DT)[0]
 
 
 @pytest.mark.wrong_types
 def test_what_falls_before_its_trial_ends_is_not_held():
-    up, fell = np.full(1000, 0.12), np.full(1000, 0.12)
-    fell[180:] = 0.0
+    up, fell, again = np.full((3, 1000), 0.12)
+    fell[700:] = again[300:600] = 0.0
     assert row_of(up).outcome == "success" and row_of(up).up_at_9s
     assert row_of(fell).outcome == "not_held" and not row_of(fell).up_at_9s
-    fell[180:300] = 0.12
-    assert row_of(fell).outcome == "success" and not row_of(fell).up_at_9s
-    assert row_of(fell, hold_s=2.5).outcome == "not_held"
+    assert row_of(again).outcome == "success" and row_of(again).up_at_9s
+    assert row_of(up, success=False).outcome != "success"
     assert row_of(up, hit=True).outcome == "hit"
     row = row_of(up)
     assert (row.handoff_s, row.lift_s) == (0.5, 0.6)
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize("failure", [each for each in Failure if each != Failure.NONE])
+def test_what_its_controller_gives_up_is_not_held(failure):
+    row = row_of(np.full(1000, 0.12), failure=failure)
+    assert row.outcome == "not_held" and row.failure == failure.name.lower()
 
 
 def test_the_shipped_scenarios_are_read_and_do_something():

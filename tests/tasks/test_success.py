@@ -9,6 +9,7 @@ from mjx_grasp.tasks.success import (
     FAILURES,
     failure_classes,
     initial_progress,
+    slipped,
     update_progress,
 )
 
@@ -16,13 +17,15 @@ from mjx_grasp.tasks.success import (
 SHORT = SuccessConfig(hold_s=0.05)
 
 
-def play(rises, displacements, config=SHORT):
+def play(rises, displacements, config=SHORT, lifting=True):
     """Progress after sequences [t, ...]."""
 
     def tick(progress, now):
         return update_progress(progress, *now, config, control_dt=0.01), None
 
-    sequence = (jnp.asarray(rises, jnp.float32), jnp.asarray(displacements, jnp.float32))
+    rises = jnp.asarray(rises, jnp.float32)
+    lifts = jnp.broadcast_to(jnp.asarray(lifting), rises.shape)
+    sequence = (rises, jnp.asarray(displacements, jnp.float32), lifts)
     progress, _ = jax.lax.scan(tick, initial_progress(sequence[0].shape[1:]), sequence)
     return progress, failure_classes(progress)
 
@@ -84,6 +87,28 @@ def test_a_slip_before_the_height_is_no_slip_of_a_lifted_object():
     progress, classes = play([0.05, 0.05, 0.0], [0.05, 0.05, 0.05])
     assert classes["never_lifted"] and not classes["slipped"]
     assert np.isclose(progress.peak_rise, 0.05)
+
+
+def test_what_rises_without_a_lift_is_not_lifted():
+    progress, classes = play([100.0] * 20, [0.0] * 20, lifting=False)
+    assert not progress.success and classes["never_lifted"]
+    progress, classes = play([0.12] * 8, [0.0] * 8, lifting=[True] * 4 + [False] + [True] * 3)
+    assert not progress.success and classes["not_held"]
+
+
+def test_slip_counts_from_where_the_object_was_at_lift_onset():
+    place = jnp.zeros((2, 3))
+    moved = jnp.array([[0.03, 0.0, 0.04], [0.0, 0.01, 0.0]])
+    no, yes = jnp.zeros(2, bool), jnp.ones(2, bool)
+    reference, slip = slipped(place, no, no, moved)
+    np.testing.assert_array_equal(reference, moved)
+    np.testing.assert_array_equal(slip, 0.0)
+    reference, slip = slipped(place, no, yes, moved)  # onset: from here on
+    np.testing.assert_array_equal(reference, moved)
+    np.testing.assert_array_equal(slip, 0.0)
+    reference, slip = slipped(place, yes, yes, moved)
+    np.testing.assert_array_equal(reference, place)
+    np.testing.assert_allclose(slip, [0.05, 0.01], rtol=1e-6)
 
 
 def test_dropping_it_after_success_stays_a_success():

@@ -111,7 +111,7 @@ class Makers:
             scenario, part[0].seed, progress,
         )  # fmt: skip
         names = [obj.name for obj in self.objects(scenario)]
-        return grasp_rows(names, problem, end, trace, grasper.dt, scenario.hold_s)
+        return grasp_rows(names, problem, end, trace, grasper.dt)
 
     def problem(self, scenario: Scenario, make: MakeGrasper, part: Part) -> GraspProblem:
         """The poses of a part of a scenario; arguments as of `run`.

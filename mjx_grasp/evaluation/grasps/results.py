@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspEnd, GraspProblem, Trace
-from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.tasks.config import SuccessConfig
@@ -20,7 +19,7 @@ from mjx_grasp.tasks.success import failure_classes
 
 OUTCOMES = ("success", "not_reached", "never_lifted", "slipped", "not_held", "hit")
 """Of a trial, exclusive; beside the classes of the closing task's judge, what never closed and what
-touched an obstacle. What was held and then fell before its trial's end is not held."""
+touched an obstacle. What was held but is given up, or not up at its trial's end, is not held."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,6 @@ def grasp_rows(
     end: GraspEnd,
     trace: Trace,
     dt: float,
-    hold_s: float = Scenario().hold_s,
 ) -> list[GraspRow]:
     """Rows of all trials.
 
@@ -72,7 +70,6 @@ def grasp_rows(
         end: How it ended.
         trace: What happened on the way.
         dt: Control period [s].
-        hold_s: Time at the top after which a trial ended [s].
     """
     progress = jax.tree.map(jnp.asarray, end.progress)
     classes = {name: np.asarray(flags) for name, flags in failure_classes(progress).items()}
@@ -82,9 +79,9 @@ def grasp_rows(
     for w, k in enumerate(problem.object_index):
         closed = (phase[:, w] == Phase.CLOSING).any()
         outcome = next((name for name, flags in classes.items() if flags[w]), "success")
-        top = _entered(end, w, Phase.HOLDING)
-        last = len(lifted) - 1 if top is None else round((top + hold_s) / dt)
-        if outcome == "success" and not lifted[min(last, len(lifted) - 1), w]:
+        failure = Failure(int(end.state.failure[w]))
+        # After a trial's end all stays as it was.
+        if outcome == "success" and (failure != Failure.NONE or not lifted[-1, w]):
             outcome = "not_held"
         if outcome == "never_lifted" and not closed:
             outcome = "not_reached"
@@ -96,7 +93,7 @@ def grasp_rows(
             GraspRow(
                 object=names[k],
                 outcome="hit" if end.hit[w] else outcome,
-                failure=Failure(int(end.state.failure[w])).name.lower(),
+                failure=failure.name.lower(),
                 handoff_s=_first(phase[:, w], Phase.CLOSING, dt),
                 lift_s=lift,
                 lifted_s=round((int(lifted[:, w].argmax()) + 1) * dt, 3)
@@ -152,11 +149,6 @@ def as_record(rows: Sequence[GraspRow]) -> dict[str, Any]:
 def _first(phase: Int[np.ndarray, " t"], wanted: Phase, dt: float) -> float | None:
     found = phase == wanted
     return round(int(found.argmax()) * dt, 3) if found.any() else None
-
-
-def _entered(end: GraspEnd, world: int, phase: Phase) -> float | None:
-    at = float(end.state.entered[world, phase])
-    return round(at, 3) if np.isfinite(at) else None
 
 
 def _millimetres(lengths: Float[Array | np.ndarray, " n"]) -> tuple[float, ...]:

@@ -38,7 +38,7 @@ from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import NativePhysics, at_rest
 from mjx_grasp.sim.physics import PhysicsState, Truth, WorldParams, make_params
 from mjx_grasp.tasks.config import SuccessConfig
-from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, update_progress
+from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped, update_progress
 
 _SEGMENT = 10
 """Ticks between two looks for worlds that want new plans: the time that planning takes."""
@@ -278,12 +278,10 @@ def _judged(
     success, closer, dt = SuccessConfig(), grasper.closer, grasper.dt
     (state, measured, truth), grasp, over = stepped, sent.grasp, sent.over
     here = in_palm(measured, truth)
-    before = carry.grasp.closing.closer.lifting
-    reference = jnp.where(before[:, None], carry.reference, here)
-    lifting = grasp.closing.closer.lifting
-    slip = jnp.where(lifting, jnp.linalg.norm(here - reference, axis=-1), 0.0)
+    before, lifting = (state.closing.closer.lifting for state in (carry.grasp, grasp))
+    reference, slip = slipped(carry.reference, before, lifting, here)
     rise = truth.object_pos[:, 2] - base
-    judged = update_progress(carry.progress, rise, slip, success, dt)
+    judged = update_progress(carry.progress, rise, slip, lifting, success, dt)
     due = carry.due | sent.done.plans_due
     went_on = _Carry(
         state, measured, truth, grasp, due, sent.track, sent.belt_began, sent.key, reference, judged

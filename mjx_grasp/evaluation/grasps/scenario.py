@@ -107,7 +107,7 @@ class Scenario(Settings):
     told: bool = True
     """whether fingertips tell what they touch; else the momentum observer alone does"""
     hold_s: Positive = 1.0
-    """time at the top after which a trial ends [s]"""
+    """time at the top after which a trial may end, once its nine seconds are over [s]"""
     tracker: TrackerConfig = TrackerConfig()
     """of the object's pose"""
     belt: BeltConfig = BeltConfig()

@@ -123,7 +123,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             end, trace = grasp_all(
                 grasper, library, physics, known_of(known, problem), problem, scenario, config.seed
             )
-        (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt, scenario.hold_s)
+        (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)
         config.out.mkdir(parents=True, exist_ok=True)

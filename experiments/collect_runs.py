@@ -3,7 +3,7 @@
   python experiments/collect_runs.py runs/A runs/B
 
 adds the runs to `experiments/results/training_runs.json`; a run that is there already is replaced,
-another one of its name is refused.
+another one of its name is refused unless `--replace` is given.
 Success and force here are those of the training's own episodes, with exploration noise.
 """
 
@@ -36,6 +36,8 @@ class CollectConfig(CommandSettings):
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """folders of finished runs"""
     out: Path = Path("experiments/results/training_runs.json")
+    replace: bool = False
+    """also put a run in the place of another one of its name: for who evaluates it anew as well"""
 
 
 def run_rows(path: Path) -> list[dict[str, Any]]:
@@ -130,7 +132,8 @@ def _check_same(row: dict[str, Any], known: dict[str, Any]) -> None:
     """
     then, now = known.get("provenance"), row["provenance"]
     if then is not None and any(then[x] != now[x] for x in ("command", "git", "seed")):
-        expected = f"another folder name; this one is that of `{then['command']}` at {then['git']}"
+        of = f"this one is that of `{then['command']}` at {then['git']}"
+        expected = f"another folder name, or --replace; {of}"
         raise InputError("runs", row["run"], expected)
 
 
@@ -145,7 +148,8 @@ def main(config: CollectConfig) -> None:
     if config.out.exists():
         rows = {r["run"]: r for r in run_rows(config.out)}
     for row in map(run_row, config.runs):
-        _check_same(row, rows.get(row["run"], {}))
+        if not config.replace:
+            _check_same(row, rows.get(row["run"], {}))
         rows[row["run"]] = row
     document = {"schema": SCHEMA, "rows": list(rows.values()), "provenance": provenance(seed=0)}
     write_json(config.out, document)

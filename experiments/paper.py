@@ -252,7 +252,7 @@ PARTS = (
             STATES,
             "-m mjx_grasp.train --preset paper --objects-dir SCANS "
             f"--handoffs {FOLDER}/handoffs.npz --evaluation-episodes 0 --out {FOLDER}/seed0",
-            f"experiments/collect_runs.py {FOLDER}/seed0",
+            f"experiments/collect_runs.py --replace {FOLDER}/seed0",
         ),
         without_gpu="its 31 M steps take days on a few cores",
     ),
@@ -269,8 +269,11 @@ PARTS = (
                 for run in END_TO_END_RUNS
             ),
             *(
-                f"experiments/{script}.py " + " ".join(f"{FOLDER}/{run}" for run in runs)
-                for script, runs in (("collect_runs", END_TO_END_RUNS), ("learning_curves", DRAWN))
+                f"experiments/{script} " + " ".join(f"{FOLDER}/{run}" for run in runs)
+                for script, runs in (
+                    ("collect_runs.py --replace", END_TO_END_RUNS),
+                    ("learning_curves.py", DRAWN),
+                )
             ),
         ),
         without_gpu="its trainings of 31 to 603 M steps take weeks on a few cores",
@@ -291,7 +294,7 @@ class PaperConfig(CommandSettings):
     """only say what there is, and what of it is done"""
     objects_dir: Path | None = None
     """folder of real scans"""
-    state: Path = Path(FOLDER) / "state.json"
+    state: Path = ROOT / FOLDER / "state.json"
     """where what is done is noted, and how long it took"""
 
 
@@ -325,11 +328,18 @@ def digest_of(scans: Path) -> str:
 def done(state: dict[str, Any], command: str, scans: Path | None) -> bool:
     """Whether a command has ended well at this revision of the code, with these scans.
 
-    With uncommitted changes nothing has, as the revision does not know them.
+    With uncommitted changes nothing has, as the revision does not know them; nor has what lacks
+    the file or folder that it made.
     """
     entry, git = state.get(command, {}), git_revision()
     same = scans is None or entry.get("scans") == digest_of(scans)
-    return entry.get("git") == git and same and is_committed(git)
+    return entry.get("git") == git and same and is_committed(git) and made_by(command).exists()
+
+
+def made_by(command: str) -> Path:
+    """What a command makes, as far as it says so by `--out`; else the repository."""
+    words = shlex.split(command)
+    return ROOT / words[words.index("--out") + 1] if "--out" in words else ROOT
 
 
 def listed(parts: list[Part], state: dict[str, Any], scans: Path | None) -> Table:

@@ -11,6 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from textwrap import shorten
 from typing import Any, NamedTuple, TypeVar
 
 from mjx_grasp.errors import InputError, MjxGraspError
@@ -25,6 +26,8 @@ Kind = Callable[[Job], Hashable]
 """What jobs have in common that a process makes for the first of them and has for the others, such
 as compiled functions."""
 S = TypeVar("S", bound="Spread")
+TRIES = 3
+"""Of a job whose process is lost, by a kill for want of memory say."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +95,7 @@ def as_done(
 ) -> Iterator[tuple[int, Result]]:
     """The results of jobs as soon as they are there, each with its job's place in the list.
 
-    A process that is lost is begun anew, and what it was at is done again.
+    A process that is lost is begun anew, and what it was at is done again, a few times.
 
     Args:
         over: Who shares them.
@@ -100,6 +103,9 @@ def as_done(
         jobs: One after the other.
         setup: Called once in every process before its first job; in this one if it is alone.
         kind: A process keeps to the kinds of jobs that it has begun with while there are any.
+
+    Raises:
+        MjxGraspError: A job's process was lost every time.
     """
     if not jobs:
         return
@@ -111,30 +117,43 @@ def as_done(
 
     with connected(over.address, over.processes):
         remote: Any = ray.remote(
-            num_cpus=1, max_restarts=-1, max_task_retries=-1, scheduling_strategy="SPREAD"
+            num_cpus=1,
+            max_restarts=-1,
+            max_task_retries=TRIES - 1,
+            scheduling_strategy="SPREAD",
         )(_Worker)
         workers = [remote.remote(work, setup) for _ in range(min(over.processes, len(jobs)))]
         machines = ray.get([worker.machine.remote() for worker in workers])
         places = places_on(machines)
-        left, at = Left([kind(job) for job in jobs], len(workers)), dict[Any, int]()
+        left = Left([kind(job) for job in jobs], len(workers))
+        at = dict[Any, tuple[int, int]]()
 
         def begin(which: int) -> None:
             number = left.next(which)
             if number is not None:
                 task = workers[which].run.remote(places[which], number, jobs[number])
-                at[task] = which
+                at[task] = which, number
 
         for which in range(len(workers)):
             begin(which)
         try:
             while at:
                 (ended,), _ = ray.wait(list(at))
-                begin(at.pop(ended))
+                which, number = at.pop(ended)
+                begin(which)
                 yield ray.get(ended)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, MjxGraspError):  # for people: without the traceback there
                 raise error.cause from None
             raise
+        except ray.exceptions.RayActorError as error:
+            why = f"its process was lost {TRIES} times; short of memory?"
+            raise MjxGraspError(f"{what_of(jobs[number])}: {why}") from error
+
+
+def what_of(job: Any) -> str:
+    """A job in words that fit a line."""
+    return shorten(str(job), 200)
 
 
 class Left:

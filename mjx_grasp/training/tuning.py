@@ -30,6 +30,7 @@ from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
+from mjx_grasp.records.spread import TRIES
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.job import given_to, run_training
@@ -259,7 +260,8 @@ def _tasks(config: TuneConfig) -> Iterator[Callable[[Callable[..., Any]], Any]]:
             alone = config.address is None
             gpus = float(has_gpu() if alone else ray.cluster_resources().get("GPU", 0) > 0)
         # A process of its own for each: what JAX holds goes with it. A lost one is run again.
-        yield ray.remote(max_calls=1, max_retries=-1, num_cpus=config.cpus, num_gpus=gpus)
+        again = TRIES - 1
+        yield ray.remote(max_calls=1, max_retries=again, num_cpus=config.cpus, num_gpus=gpus)
 
 
 def run_all(

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.records import spread as module
 from mjx_grasp.records.spread import (
     Left,
@@ -146,6 +146,19 @@ def test_results_of_several_come_in_order_from_cores_of_their_own_and_none_is_lo
     assert len(list(tmp_path.glob("setup-*"))) == 3, "once in each process"
     with pytest.raises(ValueError, match="nine"):
         list(spread(over, work, [0, 9], begin))
+
+
+@pytest.mark.long
+def test_a_job_that_always_loses_its_process_is_named(two_cores, tmp_path):
+    def work(context, job):
+        if job == "deadly":
+            (tmp_path / f"killed-{os.getpid()}").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return job
+
+    with pytest.raises(MjxGraspError, match="deadly: its process was lost 3 times"):
+        list(spread(Spread(processes=2), work, ["safe", "deadly"], lambda: None))
+    assert len(list(tmp_path.glob("killed-*"))) == module.TRIES
 
 
 _SHARED = """

@@ -40,7 +40,7 @@ from mjx_grasp.records.table import Table
 
 CITATION = (
     "*Steerable and Reactive Grasping Through Modular Design with a Three-Point Interface*: "
-    "8 selected objects, 448 episodes per object and condition"
+    f"8 selected objects, {paper.EPISODES} episodes per object and condition"
 )
 EXPLANATION = (
     "Success in %, with 95 % intervals in brackets. The intervals treat trials as independent, but "
@@ -152,6 +152,36 @@ def all_conditions(paths: Sequence[Path], more: Sequence[Path] = ()) -> str:
     parts += [f"### {table.title}", ON_WALLS, markdown(table)]
     parts += ["### Object by object", *(_folded(*group) for group in groups.items())]
     return "\n\n".join(parts)
+
+
+def trials(folder: Path, names: Sequence[str]) -> str:
+    """Of how many trials results are.
+
+    Args:
+        folder: Of results.
+        names: Of the files.
+    """
+    lines = []
+    for path in (folder / f"{name}.json" for name in names):
+        counts = sorted(_trials_in(read(path) or {}))
+        if counts:
+            said = "–".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+            lines.append((path.relative_to(folder).as_posix(), said))
+    header = ("results", "trials of an object and condition", "published")
+    every = tuple((*line, str(paper.EPISODES)) for line in lines)
+    return markdown(Table("Trials", header, every)) if lines else NOTHING
+
+
+def _trials_in(record: Any) -> set[int]:
+    """Of one object and condition each, wherever rows are in a record."""
+    if isinstance(record, dict):
+        if "object" in record and "episodes" in record:
+            return {record["episodes"]}
+        summed = record.get("objects")
+        if isinstance(summed, dict) and "rows" in record:  # whole grasps
+            return {of["trials"] for of in summed.values()}
+        return set().union(*map(_trials_in, record.values()))
+    return set().union(*map(_trials_in, record)) if isinstance(record, list) else set()
 
 
 def with_more(groups: Groups, more: Groups) -> Groups:

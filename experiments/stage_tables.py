@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.evaluation.results import OUTCOMES
 from mjx_grasp.objects.catalogue import groups
@@ -208,14 +209,14 @@ def whole_grasps(path: Path) -> str:
     return _closed_by(record) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
 
 
-def grasps_in_short(scenarios: Path, every: Path) -> str:
+def grasps_in_short(scenarios: Sequence[Path], every: Path) -> str:
     """Grasps from home: of the eight with and without what may happen, and of all objects.
 
     Args:
-        scenarios: Of the eight objects.
+        scenarios: Of the eight objects, in one file or several.
         every: Of all objects, while nothing happens.
     """
-    eight, objects = read(scenarios), read(every)
+    eight, objects = _together(scenarios), read(every)
     if eight is None or objects is None:
         return NOTHING
     found = {name: result["rows"] for name, result in eight["scenarios"].items()}
@@ -300,9 +301,27 @@ def _closed_by(record: dict[str, Any]) -> str:
     return f"Closed by the policy, with a force budget of {config['force_budget']:g} N:\n\n"
 
 
-def scenarios(path: Path) -> str:
+def _together(paths: Sequence[Path]) -> dict[str, Any] | None:
+    """Scenarios of one file or of several, the one in which nothing happens first.
+
+    Raises:
+        FileError: One of them is in two files.
+    """
+    records = [record for record in map(read, paths) if record is not None]
+    found: dict[str, Any] = {}
+    for path, record in zip(filter(Path.exists, paths), records, strict=True):
+        if twice := found.keys() & record["scenarios"].keys():
+            raise FileError(path, ", ".join(sorted(twice)), "scenarios that no other file has")
+        found |= record["scenarios"]
+    if not records:
+        return None
+    names = sorted(found, key=lambda name: (name != NOMINAL, name))
+    return records[0] | {"scenarios": {name: found[name] for name in names}}
+
+
+def scenarios(paths: Sequence[Path]) -> str:
     """Grasps from home while this or that happens, over all objects."""
-    record = read(path)
+    record = _together(paths)
     if record is None:
         return NOTHING
     lines = []

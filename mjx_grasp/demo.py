@@ -1,18 +1,17 @@
 """`python -m mjx_grasp.demo`: one grasp from home, as a film and a page."""
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, grasps, films, writes the page."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.viz.demo.config import DemoConfig
         from mjx_grasp.viz.demo.run import run_demo
 
-        config = tyro.cli(DemoConfig, description=__doc__)
+        config = parsed(DemoConfig, __doc__)
 
     console = Console(stderr=True)
     result = run_demo(config, console)

@@ -1,19 +1,18 @@
 """`python -m mjx_grasp.evaluate`: success, failures and forces of a controller, as a file."""
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, evaluates, prints the table."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.evaluation.config import EvaluateConfig
         from mjx_grasp.evaluation.job import evaluate_to_file
         from mjx_grasp.evaluation.tables import success_table
 
-        config = tyro.cli(EvaluateConfig, description=__doc__)
+        config = parsed(EvaluateConfig, __doc__)
 
     console = Console(stderr=True)
     rows = evaluate_to_file(config, console)

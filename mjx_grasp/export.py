@@ -3,17 +3,15 @@
 Needs the extra `export` (jax2onnx, onnxruntime).
 """
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, exports, says how well the file agrees with the policy."""
     with starting():
-        import tyro
-
         from mjx_grasp.learning.export import ExportConfig, export_policy
 
-        config = tyro.cli(ExportConfig, description=__doc__)
+        config = parsed(ExportConfig, __doc__)
 
     done = export_policy(config)
     print(

@@ -4,17 +4,15 @@ A pointing model, Rex-Omni, is asked; the extra `language` brings what runs it, 
 yours to get. The answer is an anchor that `heatmaps` and `view` take as it is printed.
 """
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, asks, prints the anchor."""
     with starting():
-        import tyro
-
         from mjx_grasp.language.seen import GroundConfig, ground_seen
 
-        config = tyro.cli(GroundConfig, description=__doc__)
+        config = parsed(GroundConfig, __doc__)
 
     anchor, target = ground_seen(config)
     centre = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))

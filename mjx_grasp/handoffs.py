@@ -1,12 +1,11 @@
 """`python -m mjx_grasp.handoffs`: a dataset of start states for a list of objects."""
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, makes the set, prints the table."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.evaluation.handoff_tables import tip_error_table
@@ -14,7 +13,7 @@ def main() -> None:
         from mjx_grasp.handoff.make import make_handoffs
         from mjx_grasp.handoff.report import report_table
 
-        config = tyro.cli(HandoffConfig, description=__doc__)
+        config = parsed(HandoffConfig, __doc__)
 
     console = Console()
     handoffs, reports = make_handoffs(config, console)

@@ -8,24 +8,26 @@ contact_sheet.png, summary.csv and summary.json.
 
 import sys
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, makes the heatmaps, prints the table."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.heatmap.summary import summary_table
         from mjx_grasp.viz.heatmap_folder import HeatmapsConfig, make_heatmaps
 
-        config = tyro.cli(HeatmapsConfig, description=__doc__)
+        config = parsed(HeatmapsConfig, __doc__)
 
     rows = make_heatmaps(config, Console(stderr=True))
     Console().print(summary_table(rows))
     failed = [row for row in rows if row.error]
     print(f"written: {len(rows) - len(failed)} of {len(rows)} heatmaps, in {config.out}")
+    for row in rows:
+        if not row.error and row.best_score == 0.0:
+            print(f"{row.name}: thumb and fingers can oppose nowhere on it; see --span")
     for row in failed:
         print(f"failed: {row.name}: {row.error}", file=sys.stderr)
     if failed:

@@ -1,19 +1,18 @@
 """`python -m mjx_grasp.scenarios`: whole grasps from home while this or that happens, as a file."""
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, grasps, prints the table."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.evaluation.grasps.config import ScenariosConfig
         from mjx_grasp.evaluation.grasps.job import run_scenarios
         from mjx_grasp.evaluation.grasps.tables import scenario_table
 
-        config = tyro.cli(ScenariosConfig, description=__doc__)
+        config = parsed(ScenariosConfig, __doc__)
 
     console = Console(stderr=True)
     result = run_scenarios(config, console)

@@ -4,19 +4,18 @@ Thousands of randomised cylinders on the table, reached for from home without ph
 whatever device JAX finds. Prints the rates by tolerance and time beside the publication's.
 """
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line, sweeps, prints the tables, writes what was asked for."""
     with starting():
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.evaluation.reach.poses import SweepConfig
         from mjx_grasp.records.atomic import check_writable
 
-        config = tyro.cli(SweepConfig, description=__doc__)
+        config = parsed(SweepConfig, __doc__)
         for flag, path in (("--out", config.out), ("--plot", config.plot)):
             if path is not None:
                 check_writable(flag, path)

@@ -5,7 +5,7 @@ finished is not run again, one that was cut short goes on from its checkpoint, a
 is lost is run by another.
 """
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
@@ -15,12 +15,11 @@ def main() -> None:
 
         # What looks here for a GPU must not take its memory from those who train.
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-        import tyro
         from rich.console import Console
 
         from mjx_grasp.training.tuning import TuneConfig, tune
 
-        config = tyro.cli(TuneConfig, description=__doc__)
+        config = parsed(TuneConfig, __doc__)
 
     Console().print(tune(config, Console(stderr=True)))
 

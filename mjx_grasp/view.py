@@ -4,17 +4,15 @@ Takes a mesh (metres) or the .npz of a heatmap. With `--live` also an object of 
 simulated robot grasps it there, and you may push it meanwhile. Needs the extra `viewer` (viser).
 """
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line and serves until it is interrupted."""
     with starting():
-        import tyro
-
         from mjx_grasp.viz.viewing import ViewConfig, serve
 
-        config = tyro.cli(ViewConfig, description=__doc__)
+        config = parsed(ViewConfig, __doc__)
 
     serve(config, lambda text: print(text, flush=True))
 

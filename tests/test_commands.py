@@ -50,6 +50,34 @@ def command(module: str, *arguments: str | Path) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [("mesh.obj", "v 0 0 0", "ending in .json"), ("grasps.json", "{}", "is another file")],
+)
+def test_an_evaluation_replaces_results_alone(tmp_path, name, content, said):
+    (tmp_path / name).write_text(content)
+    asked = ("--controller", "grip", "--objects", "foam_brick", "--out", tmp_path / name)
+    done = typed("evaluate", *asked)
+    assert done.returncode == 2 and said in " ".join(done.stderr.replace("│", " ").split())
+    assert (tmp_path / name).read_text() == content
+
+
+def test_the_package_says_which_commands_there_are():
+    done = typed("__main__")
+    listed = re.findall(r"python -m (mjx_grasp\.\S+)", done.stdout)
+    assert {"mjx_grasp.demo", "mjx_grasp.train", "mjx_grasp.viz.video"} <= set(listed)
+    for name in listed:
+        file = Path(__file__).parents[1] / f"{name.replace('.', '/')}.py"
+        assert "run_command(main)" in file.read_text(), name
+
+
+def test_help_and_mistakes_say_what_is_typed():
+    for flags in (["--help"], ["--no-such-flag"]):
+        done = command("export", *flags)
+        assert "python -m mjx_grasp.export" in done.stdout + done.stderr
+        assert "export.py" not in done.stdout + done.stderr
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A run of two iterations on the brick's stand-in."""

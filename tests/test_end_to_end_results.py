@@ -43,9 +43,9 @@ def run_folder(folder, preset, success, episodes, level=None, **changes):
     return folder
 
 
-def collect(out, *folders):
+def collect(out, *folders, replace=False):
     runs = script("collect_runs")
-    runs.main(runs.CollectConfig(runs=folders, out=out))
+    runs.main(runs.CollectConfig(runs=folders, out=out, replace=replace))
     return {row["run"]: row for row in json.loads(out.read_text())["rows"]}
 
 
@@ -66,6 +66,8 @@ def test_a_run_is_replaced_by_itself_and_by_no_other_of_its_name(tmp_path, exper
     with pytest.raises(InputError, match=r"one.*another folder name"):
         collect(out, new, tmp_path / "b" / "one")
     assert out.read_bytes() == before
+    replaced = collect(out, tmp_path / "b" / "one", replace=True)
+    assert replaced["one"]["provenance"] == other and len(replaced) == 1
 
 
 def test_a_row_says_what_was_learnt_and_an_older_one_is_understood(tmp_path, experiments):

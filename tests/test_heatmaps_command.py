@@ -148,6 +148,22 @@ def test_a_box_of_eight_vertices_is_refined_until_it_can_be_grasped(tmp_path):
     assert len(heatmap.score) > 100 and heatmap.score.max() > 0.8
 
 
+def test_a_mesh_is_not_overwritten_by_its_coloured_copy(tmp_path):
+    mesh = tmp_path / "slab.ply"
+    slab().export(mesh)
+    before = mesh.read_bytes()
+    for asked in (mesh, tmp_path):
+        run = heatmaps(asked, "--out", tmp_path, *COARSE)
+        assert run.returncode == 2 and "slab.ply, which would be overwritten" in run.stderr
+    assert mesh.read_bytes() == before and [*tmp_path.iterdir()] == [mesh]
+
+
+def test_what_cannot_be_grasped_is_said(tmp_path):
+    trimesh.creation.box(extents=(0.3, 0.3, 0.3)).export(tmp_path / "crate.obj")
+    run = heatmaps(tmp_path / "crate.obj", "--out", tmp_path / "out", *COARSE)
+    assert run.returncode == 0 and "crate: thumb and fingers can oppose nowhere" in run.stdout
+
+
 def test_instructions_know_the_sides_of_any_mesh_and_the_parts_of_a_scan(tmp_path):
     meshes = tmp_path / "meshes"
     meshes.mkdir()
@@ -228,6 +244,14 @@ def test_mistakes_are_refused_before_anything_is_written(
     shown = " ".join(error.replace("│", " ").split())
     assert text in shown and "error" in shown.lower()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("flag", "count"), [("--anchor", 3), ("--span", 2)])
+def test_too_few_numbers_are_refused_by_how_many_there_should_be(
+    folder, flag, count, monkeypatch, capsys
+):
+    status, error = refusal(monkeypatch, capsys, "heatmaps", folder / "slab.obj", flag, "0.1")
+    assert status == 2 and f"'{flag}'. Expected {count} values" in error and "typing" not in error
 
 
 def test_a_refusal_is_one_line_in_the_shell(tmp_path):

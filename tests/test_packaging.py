@@ -15,7 +15,9 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "mjx_grasp"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-COMMANDS = [p for p in SOURCES if '__name__ == "__main__"' in p.read_text()]
+COMMANDS = [
+    p for p in SOURCES if '__name__ == "__main__"' in p.read_text() and p.name != "__main__.py"
+]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 GENERATED = re.compile(r"<!-- generated:([\w-]+) -->.*?<!-- /generated:\1 -->", re.DOTALL)
 DOCUMENTS = "\n".join(

@@ -477,7 +477,7 @@ def test_links_and_commands_exist(path):
             heads = re.findall(r"^#+ (.*)", to.read_text(), re.M)
             known = {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}
             assert anchor in known, link
-    for module in re.findall(r"python -m (mjx_grasp[\w.]*)", text):
+    for module in re.findall(r"python -m (mjx_grasp\.[\w.]*)", text):
         assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
     for script in re.findall(r"python ((?:experiments|benchmarks)/\S+\.py)", text):
         assert (ROOT / script).is_file(), script
@@ -546,8 +546,7 @@ def test_whole_grasps_have_their_table(tmp_path):
     others = [row | {"returns": 2}, row | {"outcome": "slipped"}]
     nominal["rows"] = [*[row] * 6, *others]
     path, tables = tmp_path / "scenarios.json", make_readme.stage_tables
-    for table in (tables.whole_grasps, tables.scenarios):
-        assert table(path) == tables.NOTHING
+    assert tables.whole_grasps(path) == tables.scenarios([path]) == tables.NOTHING
     assert tables.grasps_by_split(path) == tables.NOTHING
     config = {"controller": "policy", "force_budget": 8.0}
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
@@ -558,7 +557,7 @@ def test_whole_grasps_have_their_table(tmp_path):
     cells = ["8", "87.5 (53–98)", "75.0", "75.0", "3.1", "2.5", "1", "1"]
     assert values(cube) == ["rubiks cube", *cells, "7.0 / 5.5 / 5.0"]
     assert every.startswith("| **all** | **80** |")
-    _, _, scenario = tables.scenarios(path).splitlines()
+    _, _, scenario = tables.scenarios([path]).splitlines()
     assert values(scenario)[0] == "nominal: nothing happens" and values(scenario)[-1] == "2"
 
 
@@ -610,9 +609,9 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
     breezy = scenario(trials("apple", 6), "a breeze")
     of_all = scenario(trials("apple", 3, 1) + trials("bowl", 0, 4) + trials("chips_can", 2), "-")
     eight.write_text(json.dumps({"scenarios": {"nominal": calm, "w": windy, "b": breezy}}))
-    assert tables.grasps_in_short(eight, every) == tables.NOTHING
+    assert tables.grasps_in_short([eight], every) == tables.NOTHING
     every.write_text(json.dumps({"scenarios": {"nominal": of_all}}))
-    _, _, *lines = tables.grasps_in_short(eight, every).splitlines()
+    _, _, *lines = tables.grasps_in_short([eight], every).splitlines()
     assert [values(line) for line in lines] == [
         ["the eight", "10", "90.0", "80.0", "4.0", "3.0"],
         ["2 scenarios together", "8", "87.5", "75.0", "4.0", "3.0"],
@@ -621,7 +620,32 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
         ["1 objects kept out of it", "2", "100.0", "100.0", "4.0", "3.0"],
     ]
     eight.write_text(json.dumps({"scenarios": {"nominal": calm}}))
-    assert len(tables.grasps_in_short(eight, every).splitlines()) == 5
+    assert len(tables.grasps_in_short([eight], every).splitlines()) == 5
+    more = tmp_path / "9.json"
+    more.write_text(json.dumps({"scenarios": {"w": windy, "b": breezy}}))
+    assert [
+        values(line) for line in tables.grasps_in_short([more, eight], every).splitlines()[2:]
+    ] == [values(line) for line in lines]
+    more.write_text(json.dumps({"scenarios": {"nominal": calm}}))
+    with pytest.raises(FileError, match="scenarios that no other file has"):
+        tables.grasps_in_short([eight, more], every)
+
+
+def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):
+    table = make_readme.closing_tables.trials
+    assert table(tmp_path, ["a"]) == make_readme.stage_tables.NOTHING
+    rows = [{"object": "mug", "episodes": n, "successes": 1} for n in (8, 8)]
+    (tmp_path / "a.json").write_text(json.dumps({"rows": rows}))
+    of_both = {"controllers": [{"cells": [rows, [rows[0] | {"episodes": 12}]]}]}
+    (tmp_path / "b.json").write_text(json.dumps(of_both))
+    grasps = {"scenarios": {"x": {"objects": {"mug": {"trials": 64}}, "rows": [{"object": "mug"}]}}}
+    (tmp_path / "c.json").write_text(json.dumps(grasps))
+    lines = table(tmp_path, ["a", "b", "c"]).splitlines()[2:]
+    assert [values(line) for line in lines] == [
+        ["a.json", "8"],
+        ["b.json", "8–12"],
+        ["c.json", "64"],
+    ]
 
 
 def test_the_controllers_time_has_its_table(tmp_path):

@@ -11,7 +11,7 @@ from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
-from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed
+from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed, Suffix
 from mjx_grasp.records.spread import Spread
 from mjx_grasp.tasks.assemble import Engine
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
@@ -21,7 +21,7 @@ from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, Sta
 class EvaluateConfig(ObjectsConfig, Spread):
     """Evaluates a controller by the criterion of success (method §7)."""
 
-    out: Path
+    out: Annotated[Path, Suffix((".json",))]
     """results file (.json)"""
     controller: Literal["policy", "squeeze", "grip"] = "policy"
     """the trained policy; the model-based command alone, with --squeeze-force; or the same with a

@@ -12,14 +12,14 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.config import EvaluateConfig, check_own_settings
-from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.results import SCHEMAS, ResultRow, write_results
 from mjx_grasp.evaluation.run import chosen_states, evaluate
 from mjx_grasp.evaluation.trials import incidents
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
-from mjx_grasp.records.atomic import check_writable
+from mjx_grasp.records.atomic import check_replaceable
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import spread, unspread
@@ -80,7 +80,7 @@ def evaluate_to_file(config: EvaluateConfig, console: Console) -> list[ResultRow
     Raises:
         InputError, FileError: A setting or file that cannot work; nothing is written then.
     """
-    check_writable("--out", config.out)
+    check_replaceable("--out", config.out, [SCHEMAS[ResultRow]])
     check_own_settings(config)
     own = _loaded(config)
     if own.without:

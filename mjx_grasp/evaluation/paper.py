@@ -28,6 +28,9 @@ OBJECTS: dict[str, PaperRow] = {
 }
 MEAN = PaperRow(91.9, 56.1, (13.3, 2.1))
 
+EPISODES = 448
+"""Of each object and condition."""
+
 FAILURES = {
     "ours": {"never_lifted": 4.9, "not_held": 2.7, "slipped": 0.8},
     "squeeze": {"never_lifted": 23.8, "not_held": 12.0, "slipped": 8.3},

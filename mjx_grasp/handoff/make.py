@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -53,9 +54,11 @@ def make_handoffs(
     Raises:
         InputError: An unknown object or robot, a robot that does not reach the table, a file that
             cannot be written, or no pre-grasp of any object; nothing is written then.
-        FileError: An object's scan, the robot's description or a set to update cannot be read.
+        FileError: An object's scan, the robot's description or a set to update cannot be read, or
+            what would be replaced is something else.
     """
     check_writable("--out", config.out)
+    _check_replaced(config.out)
     made = provenance(config.seed)  # of the code as it is before the set changes a tracked file
     names = resolve(config.objects)
     sets: list[HandoffSet] = []
@@ -121,6 +124,18 @@ def make_handoffs(
     write_report(config.out.with_suffix(".json"), reports, made, settings, earlier)
     journal.close()
     return merged, reports
+
+
+def _check_replaced(out: Path) -> None:
+    """Refuses to replace what is no set, and no report beside one.
+
+    Raises:
+        FileError: It is something else.
+    """
+    if out.exists():
+        load_handoffs(out)
+    if (report := out.with_suffix(".json")).exists():
+        read_report(report)
 
 
 def largest_first(objects: Sequence[ObjectModel]) -> list[ObjectModel]:

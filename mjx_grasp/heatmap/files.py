@@ -80,9 +80,9 @@ class HeatmapInfo(Settings):
     friction: NonNegative
     """Scoring friction μ [-]."""
     com: tuple[Finite, Finite, Finite]
-    """Centre of mass, object frame [m]."""
+    """Centre of mass, in the frame of the vertices [m]."""
     anchor: tuple[Finite, Finite, Finite] | None = None
-    """What the scores are steered to, object frame [m]; None for the default heatmap."""
+    """What the scores are steered to, in that frame [m]; None for the default heatmap."""
     sigma: Positive | None = None
     """Scale of the distance from the anchor [m]; None for that of `steer_to`."""
     steering: Steering | None = added(None, absent=None)

@@ -21,11 +21,22 @@ from mjx_grasp.heatmap.steering import Steering, steer_to
 from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Several
 from mjx_grasp.robot.spec import load_robot
 
-Point = Annotated[tuple[Finite, Finite, Finite], tyro.conf.arg(metavar="X Y Z")]
+
+def numbers(count: int, metavar: str) -> tyro.constructors.PrimitiveConstructorSpec:
+    """How so many numbers, or none of them, are read from a command line; part of a type."""
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=count,
+        metavar=metavar,
+        instance_from_str=lambda words: tuple(map(float, words)),
+        is_instance=lambda value: value is None or isinstance(value, tuple),
+        str_from_instance=lambda value: ["None"] if value is None else [*map(str, value)],
+    )
+
+
+Point = Annotated[tuple[Finite, Finite, Finite] | None, numbers(3, "X Y Z")]
 Span = Annotated[
-    tuple[Positive, Positive],
-    Several(ascending=True, strictly=True),
-    tyro.conf.arg(metavar="MIN MAX"),
+    Annotated[tuple[Positive, Positive], Several(ascending=True, strictly=True)] | None,
+    numbers(2, "MIN MAX"),
 ]
 
 
@@ -35,7 +46,7 @@ class MeshConfig(CommandSettings):
 
     mesh: tyro.conf.Positional[Path]
     """a mesh (.obj, .ply, .stl, .glb, .off; metres)"""
-    anchor: Point | None = None
+    anchor: Point = None
     """point that grasps are steered to, in the frame of the mesh; none without one [m]"""
     steering: Steering = "contacts"
     """what has to be near the anchor: all three contacts, the grasp's axis (the publication's
@@ -45,7 +56,7 @@ class MeshConfig(CommandSettings):
     is large [m]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot whose hand grasps"""
-    span: Span | None = None
+    span: Span = None
     """narrowest and widest grasp; the hand's by default [m]"""
     friction: Positive | None = None
     """scoring friction; the hand's by default [-]"""

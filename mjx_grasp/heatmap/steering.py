@@ -154,7 +154,6 @@ def steer_near(
     return steer(heatmap, anchor, sigma) * jnp.exp(-((beyond / sigma) ** 2))
 
 
-@jax.jit
 def steer_contacts(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
@@ -181,11 +180,22 @@ def steer_contacts(
     Raises:
         InputError: The anchor is not one point, or the size not three edges.
     """
-    for name, value in (("anchor", anchor), ("size", size)):
-        if value is not None and jnp.shape(value) != (3,):
-            raise InputError(name, f"shape {jnp.shape(value)}", "three numbers in m")
-    half = jnp.zeros(3) if size is None else 0.5 * jnp.asarray(size)
-    sigma = contact_sigma(2.0 * half) if sigma is None else sigma
+    point, edges = (jnp.asarray(x) for x in (anchor, jnp.zeros(3) if size is None else size))
+    for name, value in (("anchor", point), ("size", edges)):
+        if value.shape != (3,):
+            raise InputError(name, f"shape {value.shape}", "three numbers in m")
+    sigma = contact_sigma(edges) if sigma is None else sigma
+    return _by_contacts(heatmap, point, 0.5 * edges, sigma)
+
+
+@jax.jit
+def _by_contacts(
+    heatmap: Heatmap,
+    anchor: Float[Array, " 3"],
+    half: Float[Array, " 3"],
+    sigma: Float[Array, ""] | float,
+) -> Float[Array, " v"]:
+    """`steer_contacts` with half of the size."""
     contacts = jnp.concatenate([heatmap.thumb[:, None], heatmap.wrap], axis=1)
     outside = norm(jnp.maximum(jnp.abs(contacts - anchor) - half, 0.0))
     apart = ((outside / sigma) ** 2).sum(axis=1)

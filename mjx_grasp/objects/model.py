@@ -18,7 +18,13 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
-from mjx_grasp.objects.catalogue import Asked, Part, find_objects, load_catalogue
+from mjx_grasp.objects.catalogue import (
+    Asked,
+    Part,
+    catalogue_entry,
+    find_objects,
+    load_catalogue,
+)
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
 from mjx_grasp.objects.inertia import mass_properties
@@ -81,6 +87,9 @@ def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
         FileError: The scan or mesh is missing or unusable.
     """
     return _shape(_one(name), objects_dir)[0]
+
+
+_HEAVIEST = 22_600.0  # kg/m³, the density of osmium
 
 
 def _one(name: str) -> Asked:
@@ -153,7 +162,10 @@ def load_objects(
         raise InputError(
             "--mass or --density", found, "a mesh: the catalogue's objects have masses"
         )
+    by_name = {each.name: each for each in asked}
     shapes = {each.name: _shape(each, objects_dir) for each in asked}
+    for name in own:
+        _weighed(by_name[name], shapes[name][0], weight)
     console = Console(stderr=True)
     derived = _derived({name: mesh for name, (mesh, _) in shapes.items()}, cache_dir, console)
     loaded = [
@@ -161,8 +173,8 @@ def load_objects(
     ]
     for obj in loaded:
         if obj.name in own:
-            said = f"{obj.name}: {obj.mass:.3g} kg, {weight.of(obj.mesh.volume)[1]}"
-            console.print(said, markup=False, highlight=False)
+            said = _weighed(by_name[obj.name], obj.mesh, weight)[1]
+            console.print(f"{obj.name}: {obj.mass:.3g} kg, {said}", markup=False, highlight=False)
     allowed = ConvexConfig().single_hull_error
     off = {o.name: 1e3 * o.outward_error_95 for o in loaded if o.outward_error_95 > allowed}
     if off:
@@ -182,7 +194,7 @@ def _model(
     weight: Weight,
 ) -> ObjectModel:
     if asked.file is not None:
-        source, mass = "mesh", weight.of(mesh.volume)[0]
+        source, mass = "mesh", _weighed(asked, mesh, weight)[0]
     else:
         source = "parametric" if objects_dir is None else "scan"
         mass = load_catalogue()[asked.name].mass
@@ -192,6 +204,24 @@ def _model(
     return ObjectModel(
         asked.name, source, mesh, mass, com, inertia, pieces, error, resting, digest, parts
     )
+
+
+def _weighed(asked: Asked, mesh: trimesh.Trimesh, weight: Weight) -> tuple[float, str]:
+    """The mass of a mesh of the user [kg], and in words where it comes from.
+
+    Raises:
+        InputError: No matter is so heavy.
+    """
+    entry = None if asked.file is None else catalogue_entry(asked.file.name)
+    if entry is not None and weight == Weight():
+        return entry.mass, f"as the catalogue's {entry.name}; --mass or --density says otherwise"
+    mass, said = weight.of(mesh.volume)
+    most = _HEAVIEST * mesh.convex_hull.volume
+    if mass > most:
+        field = "--density" if weight.mass is None else "--mass"
+        expected = f"{most:.3g} kg at most, as if it were of osmium; units are kg and m"
+        raise InputError(field, f"{mass:.3g} kg for {asked.name}", expected)
+    return mass, said
 
 
 def _derived(

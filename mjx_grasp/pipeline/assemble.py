@@ -56,6 +56,7 @@ STEERED_AT_LEAST = (32, 128, 512)
 where there is no good posture; one or two are seldom within reach [-]."""
 
 
+_SAME_M = 1e-3  # between the boxes of an object and of its heatmap
 _UPS = 4  # directions that may be upwards, for each of which these are made
 
 
@@ -164,14 +165,42 @@ def known_object(
         robot: Whose hand the candidates are for.
         heatmap: Of the object; computed here if None.
         score: Of an anchor, see `steered_candidates`; the heatmap's own if None.
+
+    Raises:
+        InputError: The heatmap is of another object or frame, or the scores of another heatmap.
     """
-    heatmap = heatmap_of(obj, robot.hand) if heatmap is None else heatmap
+    if heatmap is None:
+        heatmap = heatmap_of(obj, robot.hand)
+    else:
+        _check_of(obj, heatmap)
+    if score is not None and jnp.shape(score) != heatmap.score.shape:
+        expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
+        raise InputError("score", f"shape {jnp.shape(score)}", expected)
     if score is None:
         candidates = _own(*_filled(heatmap, heatmap.score), _hanging(obj), CANDIDATES)
     else:
         candidates = steered_candidates(heatmap, score, obj=obj)
     weight, com = jnp.float32(obj.weight), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)
+
+
+def _check_of(obj: ObjectModel, heatmap: Heatmap) -> None:
+    """Refuses a heatmap whose surface is somewhere else than the object's.
+
+    Raises:
+        InputError: It is.
+    """
+    vertices = np.asarray(heatmap.vertices)
+    found = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    if not np.allclose(found, obj.mesh.bounds, atol=_SAME_M):
+        there, own = (_box(corners) for corners in (found, obj.mesh.bounds))
+        expected = f"one of {obj.name} in the object frame, from {own}"
+        raise InputError("heatmap", f"one of a surface from {there}", expected)
+
+
+def _box(corners: Float[np.ndarray, "2 3"]) -> str:
+    low, high = (", ".join(f"{x:.3f}" for x in corner) for corner in corners)
+    return f"({low}) to ({high}) m"
 
 
 def known_objects(objects: Sequence[ObjectModel], robot: RobotSpec) -> list[Known]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,28 @@ def check_writable(field: str, path: str | Path) -> None:
     except OSError as error:
         expected = f"a file that can be written ({error.strerror})"
         raise InputError(field, str(path), expected) from None
+
+
+def check_replaceable(field: str, path: str | Path, schemas: Collection[str]) -> None:
+    """Makes sure that results can be written, and that what they replace is of their kind.
+
+    Args:
+        field: The setting that names it.
+        path: The file that will be written, in a folder that is there.
+        schemas: What such files say that they are.
+
+    Raises:
+        InputError: It cannot be written, or is there and is something else.
+    """
+    check_writable(field, path)
+    if Path(path).exists():
+        try:
+            schema = read_json(path, "results").get("schema", "no schema")
+        except FileError as error:
+            schema = error.found
+        if schema not in schemas:
+            expected = f"a new file name, or a file of {' or '.join(schemas)} to replace"
+            raise InputError(field, f"{path}, which is another file ({schema})", expected)
 
 
 def check_new_folder(field: str, folder: str | Path) -> None:

@@ -9,13 +9,14 @@ file. What no single field can say stands in the class's own `__post_init__`, wh
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import functools
 import itertools
 import math
 import operator
 import sys
 import types
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -174,12 +175,13 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
     """
     where = where or kind.__name__
     if not isinstance(record, Mapping):
-        raise InputError(where, record, f"the fields of {kind.__name__}")
+        names = ", ".join(f.name for f in dataclasses.fields(kind))  # type: ignore[arg-type]
+        raise InputError(where, record, f"some of {names}")
     cached: Any = kind  # of whose hash a type checker thinks as an instance's
     fields = {f.name: f for f in dataclasses.fields(cached)}
     unknown = sorted(set(record) - set(fields))
     if unknown:
-        raise InputError(where, ", ".join(unknown), f"fields of {kind.__name__} alone")
+        raise InputError(where, ", ".join(unknown), _meant(unknown, fields))
     hints, values = _hints(cached), {}
     for name, known in fields.items():
         if name in record:
@@ -191,6 +193,12 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
         elif known.default is known.default_factory is dataclasses.MISSING:
             raise InputError(f"{where}.{name}", "nothing", "a value")
     return kind(**values)
+
+
+def _meant(unknown: Sequence[str], fields: Collection[str]) -> str:
+    """What was probably meant, and what there is."""
+    near = [m for name in unknown for m in difflib.get_close_matches(name, fields, n=1)]
+    return f"some of {', '.join(fields)}" + (f" ({', '.join(near)}?)" if near else "")
 
 
 @functools.cache

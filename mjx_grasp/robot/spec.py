@@ -20,7 +20,7 @@ import tyro
 import yaml
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.cli import run_command
+from mjx_grasp.cli import parsed, run_command
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.settings import (
     CommandSettings,
@@ -33,7 +33,7 @@ from mjx_grasp.records.settings import (
 from mjx_grasp.robot.identity import RobotIdentity
 
 _WHOLE = "description"
-_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 Name = Annotated[str, Several()]
@@ -329,8 +329,9 @@ def _check_posture(
 ) -> None:
     for name, angle in zip(joints, posture, strict=True):
         joint = model.joint(name)
-        if joint.type[0] not in _SCALAR_JOINTS:
-            raise InputError(f"{field} ({name})", "a free or ball joint", "a hinge or slide joint")
+        if joint.type[0] != _HINGE:
+            kind = mujoco.mjtJoint(joint.type[0]).name.removeprefix("mjJNT_").lower()
+            raise InputError(f"{field} ({name})", f"a {kind} joint", "a hinge")
         if not model.jnt_limited[joint.id]:
             raise InputError(f"{field} ({name})", "a joint without limits", "a `range` in the MJCF")
         low, high = joint.range
@@ -355,4 +356,4 @@ def main(config: CheckConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(CheckConfig)))
+    run_command(lambda: main(parsed(CheckConfig, None)))

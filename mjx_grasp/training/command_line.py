@@ -8,6 +8,7 @@ from pathlib import Path
 
 import tyro
 
+from mjx_grasp.cli import parsed
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.devices import RunOn, join_hosts
 from mjx_grasp.training.config import TrainConfig, preset_config, stored_config
@@ -45,5 +46,5 @@ def parse(argv: list[str], description: str | None = None) -> TrainConfig:
             raise InputError("--fit-memory", "--ppo.worlds as well", "one of the two")
         default = replace(default, fit_memory=False)
     asked = replace(default, preset=known.preset)  # so that the help's default is auto, not cpu
-    config = tyro.cli(TrainConfig, args=argv, default=asked, description=description)
+    config = parsed(TrainConfig, description, args=argv, default=asked)
     return replace(config, preset=default.preset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -89,6 +90,7 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
     if config.out.exists() and not config.out.is_dir():
         raise FileError(config.out, "a file", "a folder, or a name for a new one")
     check_new_folder("--out", config.out)
+    _check_kept(files, config.out)
     grip = config.grip()
     rows: dict[str, Row] = {}
     cells = []
@@ -118,6 +120,20 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
     settings = to_record(config) | {"span": grip[0], "friction": grip[1]}
     write_summary(config.out, ordered, settings, provenance(config.seed))
     return ordered
+
+
+def _check_kept(files: Sequence[MeshFile], out: Path) -> None:
+    """Refuses to write the coloured meshes over the meshes that they are of.
+
+    Raises:
+        InputError: One of them would be overwritten.
+    """
+    meshes = {file.path.resolve(): file for file in files}
+    for file in files:
+        lost = meshes.get((out / f"{file.name}.ply").resolve())
+        if lost is not None:
+            found = f"the folder of {lost.path.name}, which would be overwritten"
+            raise InputError("--out", found, "another folder")
 
 
 def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:

@@ -1,16 +1,14 @@
 """`python -m mjx_grasp.viz.video`: a recorded trajectory as a video, a GIF or a picture."""
 
-from mjx_grasp.cli import run_command, starting
+from mjx_grasp.cli import parsed, run_command, starting
 
 
 def main() -> None:
     """Parses the command line and renders."""
     with starting():
-        import tyro
-
         from mjx_grasp.viz.rendering import VideoConfig, make_video
 
-        config = tyro.cli(VideoConfig, description=__doc__)
+        config = parsed(VideoConfig, __doc__)
 
     make_video(config)
     print(f"written: {config.out}")

@@ -355,7 +355,9 @@ def test_files_of_ones_own(tmp_path):
         ("pushes: 3", r"windy.yaml: scenario: found 'pushes'"),
         ("push: {force: 1}\nhold_s: 0.5", "it ends with a push until 1.0 s"),
         ("{", "no valid YAML"),
-        ("- 1", "fields of Scenario"),
+        ("- 1", "some of description, objects"),
+        ("pusch: {force: 1}", r"found 'pusch', expected some of .*\(push\?\)"),
+        ("table_height: 1.5", r"scenario\.table_height: found 1\.5, expected -0\.2 .*to 0\.2"),
     ],
 )
 def test_a_wrong_scenario_is_refused_by_file_and_field(text, expected, tmp_path):
@@ -385,7 +387,7 @@ def test_what_cannot_work_is_refused_before_anything_long_starts(tmp_path):
     assert out.read_text() == "{}"
 
 
-@pytest.mark.parametrize("wrong", ["away: 2.0", "objects: [slab.obj]"])
+@pytest.mark.parametrize("wrong", ["away: 2.0", "objects: [slab.obj]", "objects: [mugg]"])
 def test_a_later_scenario_that_cannot_work_is_refused_before_the_first_trial(
     wrong, tmp_path, monkeypatch
 ):
@@ -397,7 +399,7 @@ def test_a_later_scenario_that_cannot_work_is_refused_before_the_first_trial(
     config = ScenariosConfig(
         scenarios=("calm.yaml", "wrong.yaml"), objects=("rubiks_cube",), out=Path("out.json")
     )
-    field, found = ("away", "2.0") if "away" in wrong else ("object", "'slab.obj'")
+    field, found = ("away", "2.0") if "away" in wrong else ("object", f"'{wrong[10:-1]}'")
     with pytest.raises(InputError, match=f"^wrong: {field}: found {found}, expected"):
         run_scenarios(config, Console(quiet=True))
     assert sorted(tmp_path.iterdir()) == before
@@ -551,7 +553,7 @@ def test_scenarios_of_other_settings_files_or_code_are_run_again(
         quick.windy.write_text("push: {force: 2.0}\nhold_s: 3\n")
         again = again[2:]
     elif other == "mesh":
-        monkeypatch.setattr(job._Grasps, "meshes", lambda self, scenario: {"rubiks_cube": "other"})
+        monkeypatch.setattr(job._Grasps, "meshes", lambda *_: {"rubiks_cube": "other"})
     elif other == "revision":
         revision = "abd"
     quick.run(config)

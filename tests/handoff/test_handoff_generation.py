@@ -278,3 +278,12 @@ def test_the_command_refuses_what_it_does_not_know(tmp_path):
     assert done.returncode == 2
     assert "foam_brick" in done.stderr and "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.json"])
+def test_what_is_no_set_or_report_is_not_replaced(tmp_path, name):
+    (tmp_path / name).write_text('{"something": "else"}')
+    done = typed("handoffs", "--objects", "foam_brick", "--out", tmp_path / "x.npz")
+    assert done.returncode == 2 and name in done.stderr
+    assert (tmp_path / name).read_text() == '{"something": "else"}'
+    assert [file.name for file in tmp_path.iterdir()] == [name]

@@ -9,7 +9,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.heatmap.steering import steer, steer_contacts, steer_many
+from mjx_grasp.heatmap.steering import steer, steer_contacts, steer_many, steer_near
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 TERMS = {"width", "thumb", "wrap", "coherence", "com", "separation"}
@@ -182,6 +182,17 @@ def test_anchors_that_are_no_points_are_refused(lump_map):
         steer(lump_map, np.zeros((2, 3)))
     with pytest.raises(InputError, match=r"anchors: found 'shape \(3,\)', expected points"):
         steer_many(lump_map, np.zeros(3))
+
+
+@pytest.mark.wrong_types
+def test_anchors_may_be_lists(lump_map):
+    anchor, size = [0.01, 0.0, 0.02], [0.02, 0.02, 0.02]
+    for way in (steer, steer_near, steer_contacts):
+        np.testing.assert_array_equal(way(lump_map, anchor), way(lump_map, np.float32(anchor)))
+    found = steer_contacts(lump_map, anchor, size)
+    np.testing.assert_array_equal(
+        found, steer_contacts(lump_map, np.float32(anchor), np.float32(size))
+    )
 
 
 def test_steering_to_the_centre_of_mass_gives_the_default_bit_for_bit(lump_map):

@@ -66,6 +66,23 @@ def test_what_a_mesh_weighs_is_said(jug, cache, capsys):
     assert "kg" not in capsys.readouterr().err
 
 
+def test_what_is_called_like_a_scan_weighs_what_that_does(jug, cache, capsys):
+    scan = jug.with_name("025_mug.obj")
+    shutil.copy(jug, scan)
+    (loaded,) = load_objects([str(scan)], cache_dir=cache)
+    assert loaded.mass == load_catalogue()["mug"].mass
+    assert "as the catalogue's mug" in " ".join(capsys.readouterr().err.split())
+    assert load_objects([str(scan)], cache_dir=cache, weight=Weight(mass=0.4))[0].mass == 0.4
+
+
+@pytest.mark.parametrize(
+    ("weight", "flag"), [(Weight(mass=300.0), "--mass"), (Weight(density=5e5), "--density")]
+)
+def test_a_mass_in_grams_is_noticed(jug, cache, weight, flag):
+    with pytest.raises(InputError, match=rf"{flag}: found '\d+ kg for jug\.obj', .*units are kg"):
+        load_objects([str(jug)], cache_dir=cache, weight=weight)
+
+
 def test_names_come_from_files_and_are_none_of_the_catalogues(jug, tmp_path, monkeypatch):
     others = tmp_path / "others"
     others.mkdir()

@@ -13,6 +13,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.candidates import first_and_rest
 from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
+from mjx_grasp.heatmap.meshes import heatmap_of_mesh
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import (
     CANDIDATES,
@@ -56,6 +57,22 @@ def test_objects_are_known_together_as_one_by_one_and_of_the_best_candidates(rob
         assert kept.sum() == plain.valid.sum() and not np.asarray(ours.score)[~kept].any()
         np.testing.assert_allclose(ours.thumb[kept], plain.thumb[plain.valid])
         np.testing.assert_allclose(ours.score[kept], plain.score[plain.valid], atol=1e-6)
+
+
+@pytest.mark.wrong_types
+def test_a_heatmap_of_something_else_and_scores_of_another_are_refused(robot, tmp_path):
+    brick, can = load_objects(["foam_brick", "tuna_fish_can"])
+    heatmap = heatmap_of(brick, robot.hand)
+    with pytest.raises(InputError, match=r"heatmap: .* one of tuna_fish_can in the object frame"):
+        known_object(can, robot, heatmap)
+    with pytest.raises(InputError, match=r"score: found 'shape \(3,\)', expected one of each"):
+        known_object(brick, robot, heatmap, np.ones(3))
+    elsewhere = brick.mesh.copy()
+    elsewhere.apply_translation([0.5, 0.2, 1.0])
+    grip = robot.hand.span, robot.hand.scoring_friction
+    stored = heatmap_of_mesh("brick", elsewhere, grip).heatmap
+    with pytest.raises(InputError, match="heatmap: found 'one of a surface from"):
+        known_object(brick, robot, stored)
 
 
 def test_a_bowls_wall_may_be_gripped_at_two_heights(robot):

@@ -7,6 +7,7 @@ import pytest
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import (
     check_new_folder,
+    check_replaceable,
     check_writable,
     read_json,
     replacing,
@@ -31,6 +32,18 @@ def test_whoever_reads_while_a_file_is_replaced_has_the_old_one_whole(tmp_path):
         write_json(path, {"new": 2})
         assert json.load(reader) == {"old": 1}
     assert json.loads(path.read_text()) == {"new": 2}
+
+
+@pytest.mark.parametrize("content", ["no JSON", "{}", '{"schema": "theirs/1"}'])
+def test_only_files_of_their_kind_are_replaced(tmp_path, content):
+    path = tmp_path / "a.json"
+    check_replaceable("--out", path, ["ours/1"])
+    path.write_text('{"schema": "ours/1"}')
+    check_replaceable("--out", path, ["ours/1"])
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"--out: found '.*a\.json, which is another file"):
+        check_replaceable("--out", path, ["ours/1"])
+    assert path.read_text() == content
 
 
 def test_what_can_be_written_leaves_nothing_behind(tmp_path):

@@ -14,7 +14,7 @@ from mjx_grasp.records.spread import Spread
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
 BUDGET_N = 8.0
-"""Force budget of whole grasps by default, the largest of the shipped policy's training; light
+"""Force budget of whole grasps by default, among those of the shipped policy's training; light
 objects take a part of it [N]."""
 
 

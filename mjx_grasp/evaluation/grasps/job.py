@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,15 @@ SCHEMA = "mjx_grasp.scenarios/1"
 _PERCENT = 100
 
 
+@contextmanager
+def _naming(scenario: str) -> Iterator[None]:
+    """Says of what is refused in which scenario it is."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{scenario}: {error.field}", error.found, error.expected) from None
+
+
 class _Grasps:
     """What every process that runs scenarios needs.
 
@@ -53,14 +63,17 @@ class _Grasps:
         Raises:
             InputError, FileError: It cannot work.
         """
-        try:
+        with _naming(name):
             self.makers.check(scenario, self._make, parts)
-        except InputError as error:
-            raise InputError(f"{name}: {error.field}", error.found, error.expected) from None
 
-    def meshes(self, scenario: Scenario) -> dict[str, str]:
-        """What tells its objects' meshes from others of the same names."""
-        return {obj.name: obj.content_hash for obj in self.makers.objects(scenario)}
+    def meshes(self, name: str, scenario: Scenario) -> dict[str, str]:
+        """What tells its objects' meshes from others of the same names.
+
+        Raises:
+            InputError, FileError: They cannot be had.
+        """
+        with _naming(name):
+            return {obj.name: obj.content_hash for obj in self.makers.objects(scenario)}
 
     def part(self, job: tuple[Scenario, Part]) -> dict[str, Any]:
         """What came of a part of a scenario."""
@@ -97,7 +110,7 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
         header |= {"sha256": file_digests(policy=own.file), "device": jax.default_backend()}
         header |= {"robot": to_record(load_robot(config.robot).identity)}
         about = {
-            name: {"settings": to_record(scenario), "meshes": own.meshes(scenario)}
+            name: {"settings": to_record(scenario), "meshes": own.meshes(name, scenario)}
             for name, scenario in scenarios.items()
         }
         done = _before(config.out, header, made["git"], about)

@@ -13,7 +13,6 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.records.settings import (
-    Finite,
     NonNegative,
     Positive,
     PositiveOrNever,
@@ -98,7 +97,7 @@ class Scenario(Settings):
     """least distance of the object's origin from the fingertips at home [m]"""
     approach: Approach = "any"
     """from where the hand is told to come"""
-    table_height: Finite = 0.0
+    table_height: Annotated[float, Range(-0.2, 0.2)] = 0.0
     """of the table top above the robot's base [m]"""
     mass_scale: Positive = 1.0
     """of the object's mass; the controller believes it to be 1 [-]"""

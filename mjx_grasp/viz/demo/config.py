@@ -11,9 +11,10 @@ import tyro
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.config import BUDGET_N, ClosingController, check_closing
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
+from mjx_grasp.heatmap.meshes import Point
 from mjx_grasp.heatmap.steering import Steering
 from mjx_grasp.objects.config import Weight
-from mjx_grasp.records.settings import CommandSettings, Finite, Positive, Seed
+from mjx_grasp.records.settings import CommandSettings, Positive, Seed
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class DemoConfig(CommandSettings):
     """an object of the catalogue, or a mesh of your own (.obj, .ply, .stl, .glb, .off; metres)"""
     instruction: str | None = None
     """which part or side of it: "by the cap"; by default anywhere good"""
-    anchor: tuple[Finite, Finite, Finite] | None = None
+    anchor: Point = None
     """or the point itself, in the object frame: axes of the mesh, from the middle of its box [m]"""
     steering: Steering = "contacts"
     """what has to be near that: all three contacts, the grasp's axis (the publication's formula),

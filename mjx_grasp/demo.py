@@ -15,11 +15,11 @@ def main() -> None:
 
     console = Console(stderr=True)
     result = run_demo(config, console)
-    apart = result["from_anchor_mm"]
-    where = "" if apart is None else f", contacts {apart:.0f} mm from the anchor"
+    apart, best = result["from_anchor_mm"], result["at_best_mm"]
+    near = "" if apart is None else f", contacts {apart:.0f} mm from the anchor, {best:.0f} at best"
     if result["mesh"] == "parametric":
         console.print(f"{result['object']}: a simple stand-in; --objects-dir takes scans")
-    console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}{where}")
+    console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}{near}")
     console.print(f"written: {config.out / 'index.html'}")
 
 

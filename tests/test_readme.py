@@ -642,9 +642,9 @@ def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):
     (tmp_path / "c.json").write_text(json.dumps(grasps))
     lines = table(tmp_path, ["a", "b", "c"]).splitlines()[2:]
     assert [values(line) for line in lines] == [
-        ["a.json", "8"],
-        ["b.json", "8–12"],
-        ["c.json", "64"],
+        ["a.json", "8", "448"],
+        ["b.json", "8–12", "448"],
+        ["c.json", "64", "448"],
     ]
 
 

@@ -70,6 +70,7 @@ def shown(success):
         "grasp": grasp,
         "seconds": {"heatmap": 1.0},
         "from_anchor_mm": 23.4 if success else None,
+        "at_best_mm": 12.5 if success else None,
     }
     return Shown("a <box>", success, subject, curves, stages, None, "no renderer", result)
 
@@ -79,7 +80,7 @@ def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
     assert "a &lt;box&gt;" in page and "lifted and held" in page and "No film. no renderer" in page
     assert page.count("data:image/png;base64,") == 3
     assert "http" not in page.replace("http-equiv", "") and "src='/" not in page
-    assert "<dt>contacts from the anchor</dt><dd>23.4 mm</dd>" in page
+    assert "<dt>contacts from the anchor</dt><dd>23.4 mm, 12.5 mm at best</dd>" in page
     failed = demo_page(shown(False))
     assert "never lifted" in failed and "from the anchor" not in failed
 

@@ -88,7 +88,8 @@ def _numbers(result: dict[str, Any]) -> str:
         "returns to reaching": str(grasp["returns"]),
     }
     if result["from_anchor_mm"] is not None:
-        rows["contacts from the anchor"] = f"{result['from_anchor_mm']:g} mm"
+        apart, best = result["from_anchor_mm"], result["at_best_mm"]
+        rows["contacts from the anchor"] = f"{apart:g} mm, {best:g} mm at best"
     made = ", ".join(f"{name} {seconds:g} s" for name, seconds in result["seconds"].items())
     rows["computed in"] = made
     return (

@@ -69,6 +69,12 @@ class Steered(NamedTuple):
         top = max(float(np.quantile(self.score[valid], _BRIGHTEST)), 1e-6)
         return np.where(valid, np.minimum(self.score / top, 1.0), np.nan)
 
+    @property
+    def best(self) -> Float[np.ndarray, "3 3"]:
+        """The contacts with the best score, whether or not the hand gets there [m]."""
+        k = int(np.argmax(np.where(self.heatmap.valid, self.score, -np.inf)))
+        return np.vstack([self.heatmap.thumb[k], self.heatmap.wrap[k]])
+
 
 class _Clock:
     """How long each step takes, shown as it goes."""
@@ -309,6 +315,7 @@ def _result(
         "phases": [stage._asdict() for stage in stages],
         "contacts_m": np.round(contacts, 4).tolist(),
         "from_anchor_mm": from_anchor(steered.anchor, contacts),
+        "at_best_mm": from_anchor(steered.anchor, steered.best),
         "normals": np.round(normals, 4).tolist(),
         "grasp": asdict(row),
         "seconds": seconds,

@@ -175,8 +175,8 @@ def trials(folder: Path, names: Sequence[str]) -> str:
 def _trials_in(record: Any) -> set[int]:
     """Of one object and condition each, wherever rows are in a record."""
     if isinstance(record, dict):
-        if "object" in record and "episodes" in record:
-            return {record["episodes"]}
+        if "object" in record and ("episodes" in record or "outcomes" in record):
+            return {record["episodes"] if "episodes" in record else len(record["outcomes"])}
         summed = record.get("objects")
         if isinstance(summed, dict) and "rows" in record:  # whole grasps
             return {of["trials"] for of in summed.values()}

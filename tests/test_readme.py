@@ -636,7 +636,7 @@ def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):
     assert table(tmp_path, ["a"]) == make_readme.stage_tables.NOTHING
     rows = [{"object": "mug", "episodes": n, "successes": 1} for n in (8, 8)]
     (tmp_path / "a.json").write_text(json.dumps({"rows": rows}))
-    of_both = {"controllers": [{"cells": [rows, [rows[0] | {"episodes": 12}]]}]}
+    of_both = {"controllers": [{"cells": [rows, [{"object": "mug", "outcomes": "SSSSNLLSSSSS"}]]}]}
     (tmp_path / "b.json").write_text(json.dumps(of_both))
     grasps = {"scenarios": {"x": {"objects": {"mug": {"trials": 64}}, "rows": [{"object": "mug"}]}}}
     (tmp_path / "c.json").write_text(json.dumps(grasps))

@@ -11,7 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, NoReturn
 
 from mjx_grasp.compiled import keep_compiled
 from mjx_grasp.errors import MjxGraspError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _INTERRUPTED = 130
-C = TypeVar("C")
 
 
 def run_command(command: Callable[[], None], keeps: bool = True) -> None:
@@ -67,21 +66,6 @@ def starting() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def parsed(kind: type[C], description: str | None, **how: Any) -> C:
-    """The settings of the command line, which is called what the user typed.
-
-    Args:
-        kind: The settings' class.
-        description: For the help.
-        **how: More of what `tyro.cli` takes.
-    """
-    import tyro
-
-    spec = getattr(sys.modules["__main__"], "__spec__", None)
-    typed = None if spec is None else f"python -m {spec.name}"
-    return tyro.cli(kind, prog=typed, description=description, **how)
 
 
 def _end_now(status: int) -> NoReturn:

@@ -1,6 +1,6 @@
 """`python -m mjx_grasp.demo`: one grasp from home, as a film and a page."""
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -8,6 +8,7 @@ def main() -> None:
     with starting():
         from rich.console import Console
 
+        from mjx_grasp.records.command_line import parsed
         from mjx_grasp.viz.demo.config import DemoConfig
         from mjx_grasp.viz.demo.run import run_demo
 

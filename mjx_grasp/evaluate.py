@@ -1,6 +1,6 @@
 """`python -m mjx_grasp.evaluate`: success, failures and forces of a controller, as a file."""
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -11,6 +11,7 @@ def main() -> None:
         from mjx_grasp.evaluation.config import EvaluateConfig
         from mjx_grasp.evaluation.job import evaluate_to_file
         from mjx_grasp.evaluation.tables import success_table
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(EvaluateConfig, __doc__)
 

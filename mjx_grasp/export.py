@@ -3,13 +3,14 @@
 Needs the extra `export` (jax2onnx, onnxruntime).
 """
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, exports, says how well the file agrees with the policy."""
     with starting():
         from mjx_grasp.learning.export import ExportConfig, export_policy
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(ExportConfig, __doc__)
 

@@ -4,13 +4,14 @@ A pointing model, Rex-Omni, is asked; the extra `language` brings what runs it, 
 yours to get. The answer is an anchor that `heatmaps` and `view` take as it is printed.
 """
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, asks, prints the anchor."""
     with starting():
         from mjx_grasp.language.seen import GroundConfig, ground_seen
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(GroundConfig, __doc__)
 

@@ -1,6 +1,6 @@
 """`python -m mjx_grasp.handoffs`: a dataset of start states for a list of objects."""
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -12,6 +12,7 @@ def main() -> None:
         from mjx_grasp.handoff.config import HandoffConfig
         from mjx_grasp.handoff.make import make_handoffs
         from mjx_grasp.handoff.report import report_table
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(HandoffConfig, __doc__)
 

@@ -8,7 +8,7 @@ contact_sheet.png, summary.csv and summary.json.
 
 import sys
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -17,6 +17,7 @@ def main() -> None:
         from rich.console import Console
 
         from mjx_grasp.heatmap.summary import summary_table
+        from mjx_grasp.records.command_line import parsed
         from mjx_grasp.viz.heatmap_folder import HeatmapsConfig, make_heatmaps
 
         config = parsed(HeatmapsConfig, __doc__)

@@ -1,6 +1,6 @@
 """`python -m mjx_grasp.scenarios`: whole grasps from home while this or that happens, as a file."""
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -11,6 +11,7 @@ def main() -> None:
         from mjx_grasp.evaluation.grasps.config import ScenariosConfig
         from mjx_grasp.evaluation.grasps.job import run_scenarios
         from mjx_grasp.evaluation.grasps.tables import scenario_table
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(ScenariosConfig, __doc__)
 

@@ -4,7 +4,7 @@ Thousands of randomised cylinders on the table, reached for from home without ph
 whatever device JAX finds. Prints the rates by tolerance and time beside the publication's.
 """
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -14,6 +14,7 @@ def main() -> None:
 
         from mjx_grasp.evaluation.reach.poses import SweepConfig
         from mjx_grasp.records.atomic import check_writable
+        from mjx_grasp.records.command_line import parsed
 
         config = parsed(SweepConfig, __doc__)
         for flag, path in (("--out", config.out), ("--plot", config.plot)):

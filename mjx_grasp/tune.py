@@ -5,7 +5,7 @@ finished is not run again, one that was cut short goes on from its checkpoint, a
 is lost is run by another.
 """
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
@@ -17,6 +17,7 @@ def main() -> None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
         from rich.console import Console
 
+        from mjx_grasp.records.command_line import parsed
         from mjx_grasp.training.tuning import TuneConfig, tune
 
         config = parsed(TuneConfig, __doc__)

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "mjx_grasp"
 COMMANDS = sorted(
     path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", ".")
     for path in (*PACKAGE.glob("*.py"), *PACKAGE.glob("viz/*.py"))
-    if '__name__ == "__main__"' in path.read_text()
+    if '__name__ == "__main__"' in path.read_text() and path.name != "__main__.py"
 )
 
 

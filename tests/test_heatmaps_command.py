@@ -227,7 +227,7 @@ def test_a_part_of_a_mesh_steers_by_its_size_or_as_published(tmp_path, steering)
         (["{folder}", "--out", "{folder}/slab.obj/maps"], "can be written (Not a directory)"),
         (["{folder}", "--triples", "0"], "--triples"),
         (["{folder}", "--temperature", "-1"], "--temperature"),
-        (["{folder}", "--edge", "-1"], "HeatmapConfig.edge"),
+        (["{folder}", "--edge", "-1"], "--edge: found -1.0"),
         (["{folder}", "--out", "{folder}/readme.txt"], "a folder"),
     ],
 )

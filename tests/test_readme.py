@@ -578,7 +578,10 @@ def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
     config = {"controller": "policy", "force_budget": 8.0}
     path = tmp_path / "all.json"
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
-    *_, training, others, refused = make_readme.stage_tables.grasps_by_split(path).splitlines()
+    *_, training, others, judged, refused = make_readme.stage_tables.grasps_by_split(
+        path
+    ).splitlines()
+    assert judged.endswith("of the 4 held then, 1 were given up before their trial's end.")
     assert "33.3 % lifted and held, 16.7 % up after 9 s" in training
     assert "of the 3 trials of 6 in which there was a way, 66.7 % and 33.3 %" in training
     assert "100.0 % lifted and held" in others and "of the 2 trials of 2" in others

@@ -130,7 +130,7 @@ def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused)
 @pytest.mark.parametrize(
     ("command", "arguments", "text"),
     [
-        ("train", ("--preset", "cpu", "--ppo.hidden", "0"), "PPOConfig.hidden: found (0,)"),
+        ("train", ("--preset", "cpu", "--ppo.hidden", "0"), "--ppo.hidden: found (0,)"),
         ("train", ("--preset", "cpu", "--seed", "9" * 20), "4294967295"),
         ("train", ("--preset", "cpu", "--scene.table-half-size", "0", "0", "0"), "more than 0"),
         ("train", ("--preset", "cpu", "--objects", "foam_brik"), "foam_brick"),
@@ -145,7 +145,11 @@ def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused)
         ("export", ("p.npz", "--out", "/proc/x.onnx"), "--out: found '/proc/x.onnx'"),
         ("export", ("p.npz",), "--out"),
         ("handoffs", ("--out", "x.npz", "--seed", "-1"), "--seed"),
-        ("handoffs", ("--out", "x.npz", "--targets.thumb-standoff", "-1"), "thumb_standoff"),
+        (
+            "handoffs",
+            ("--out", "x.npz", "--targets.thumb-standoff", "-1"),
+            "s.thumb-standoff: found",
+        ),
         ("handoffs", ("--out", "missing/dir/x.npz"), "does not exist (missing/dir)"),
         ("handoffs", ("--out", "x.npz", "--objects-dir", "none"), "none: found no such folder"),
         ("sweep_reach", ("--out", "missing/x.json"), "does not exist (missing)"),

@@ -16,7 +16,9 @@ import math
 import operator
 import sys
 import types
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -126,8 +128,9 @@ class Settings:
                 raise InputError(self.name_of(name), found, expected)
 
     def name_of(self, field_name: str) -> str:
-        """What a field is called in messages."""
-        return f"{type(self).__name__}.{field_name}"
+        """What a field is called in messages: its flag, while a command line is read."""
+        own = f"{type(self).__name__}.{field_name}"
+        return _flags.get().get((type(self), field_name), own)
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,44 @@ class CommandSettings(Settings):
     def name_of(self, field_name: str) -> str:
         """The flag."""
         return "--" + field_name.replace("_", "-")
+
+
+Flags = dict[tuple[type, str], str]
+_flags: ContextVar[Flags] = ContextVar("_flags", default={})  # noqa: B039 (nobody changes it)
+
+
+@contextmanager
+def named_as_flags(kind: type) -> Iterator[None]:
+    """Has messages about settings within those of a command name the flags, while it lasts.
+
+    Args:
+        kind: The command's settings; those of a class that it has at two places keep their names.
+    """
+    before = _flags.set(_flags_of(kind, ""))
+    try:
+        yield
+    finally:
+        _flags.reset(before)
+
+
+def _flags_of(kind: type, prefix: str) -> Flags:
+    """The flags of a class's fields, and of those of the settings within it."""
+    found: Flags = {}
+    for name, hint in _hints(kind).items():
+        bare, _ = _bare(hint)
+        said = [extra for extra in get_args(hint)[1:] if get_origin(hint) is Annotated]
+        alone = any(getattr(extra, "prefix_name", None) is False for extra in said)
+        nameless = any(getattr(extra, "name", None) == "" for extra in said)
+        here = "" if alone else prefix
+        found[kind, name] = f"--{here}{name.replace('_', '-')}"
+        members = get_args(bare) if get_origin(bare) in (Union, types.UnionType) else [bare]
+        for inner in members:
+            if isinstance(inner, type) and issubclass(inner, Settings):
+                below = _flags_of(inner, here if nameless else f"{here}{name.replace('_', '-')}.")
+                twice = {key for key, flag in below.items() if found.get(key, flag) != flag}
+                found |= {key: flag for key, flag in below.items() if key not in twice}
+                found = {key: flag for key, flag in found.items() if key not in twice}
+    return found
 
 
 def added(default: Any, absent: Any) -> Any:

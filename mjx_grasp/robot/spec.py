@@ -20,8 +20,9 @@ import tyro
 import yaml
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.cli import parsed, run_command
+from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.records.command_line import parsed
 from mjx_grasp.records.settings import (
     CommandSettings,
     Finite,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import tyro
 
-from mjx_grasp.cli import parsed
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.devices import RunOn, join_hosts
+from mjx_grasp.records.command_line import parsed
 from mjx_grasp.training.config import TrainConfig, preset_config, stored_config
 
 

@@ -1,11 +1,12 @@
 """`python -m mjx_grasp.viz.video`: a recorded trajectory as a video, a GIF or a picture."""
 
-from mjx_grasp.cli import parsed, run_command, starting
+from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line and renders."""
     with starting():
+        from mjx_grasp.records.command_line import parsed
         from mjx_grasp.viz.rendering import VideoConfig, make_video
 
         config = parsed(VideoConfig, __doc__)

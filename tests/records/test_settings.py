@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
+import tyro
 import walk
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,6 +33,7 @@ from mjx_grasp.records.settings import (
     WholeNumber,
     added,
     from_record,
+    named_as_flags,
     to_record,
 )
 
@@ -158,6 +160,41 @@ def test_the_message_says_what_would_do(fields, expected):
 def test_settings_of_a_command_are_named_as_its_flags():
     with pytest.raises(InputError, match=r"^--world-count: found 0, expected"):
         Command(world_count=0)
+
+
+@dataclass(frozen=True)
+class Own(Settings):
+    far_off: Positive = 1.0
+    near: Annotated[Positive, tyro.conf.arg(prefix_name=False)] = 1.0
+    part: Part = field(default_factory=Part)
+
+
+@dataclass(frozen=True)
+class Once(Settings):
+    speed: Positive = 1.0
+
+
+@dataclass(frozen=True)
+class Program(CommandSettings):
+    own: Own = field(default_factory=Own)
+    part: Part | Once = field(default_factory=Part)
+    unnamed: Annotated[Command, tyro.conf.arg(name="")] = field(default_factory=lambda: Command(1))
+
+
+@pytest.mark.parametrize(
+    ("made", "flag"),
+    [
+        (lambda: Own(far_off=-1.0), "--own.far-off"),
+        (lambda: Own(near=-1.0), "--near"),
+        (lambda: Once(speed=-1.0), "--part.speed"),
+        (lambda: Part(speed=-1), "Part.speed"),  # at two places
+    ],
+)
+def test_settings_within_a_commands_are_named_as_flags_while_it_is_read(made, flag):
+    with named_as_flags(Program), pytest.raises(InputError, match=f"^{flag}: found -1"):
+        made()
+    with pytest.raises(InputError, match=r"^(Own|Once|Part)\."):
+        made()
 
 
 def test_paths_are_shown_as_they_were_typed():

@@ -439,6 +439,20 @@ def test_results_name_no_folder_of_the_machine_that_made_them():
         assert found is None, f"{path.name}: {found[0]}"
 
 
+WHOLE_GRASPS = sorted((ROOT / "experiments" / "results").glob("scenarios*.json"))
+WHOLE_GRASPS += [ROOT / "experiments" / "results" / "grasps_all.json"]
+
+
+@pytest.mark.parametrize("path", WHOLE_GRASPS, ids=lambda path: path.stem)
+def test_what_a_results_file_calls_held_was_lifted_by_a_hand(path):
+    scenarios = json.loads(path.read_text())["scenarios"]
+    held = [r for s in scenarios.values() for r in s["rows"] if r["outcome"] == "success"]
+    assert len(held) > 100
+    for row in held:
+        assert row["lift_s"] is not None and row["force_mean_n"] > 0.1, row
+        assert row["peak_rise_m"] < 0.5, row
+
+
 def test_what_is_written_by_hand_survives(root):
     before = {p: GENERATED.sub("", p.read_text()) for p in root.rglob("README.md")}
     run(root)

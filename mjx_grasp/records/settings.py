@@ -153,31 +153,29 @@ def named_as_flags(kind: type) -> Iterator[None]:
     Args:
         kind: The command's settings; those of a class that it has at two places keep their names.
     """
-    before = _flags.set(_flags_of(kind, ""))
+    found: dict[tuple[type, str], set[str]] = {}
+    for key, flag in _flags_of(kind, ""):
+        found.setdefault(key, set()).add(flag)
+    before = _flags.set({key: flags.pop() for key, flags in found.items() if len(flags) == 1})
     try:
         yield
     finally:
         _flags.reset(before)
 
 
-def _flags_of(kind: type, prefix: str) -> Flags:
+def _flags_of(kind: type, prefix: str) -> Iterator[tuple[tuple[type, str], str]]:
     """The flags of a class's fields, and of those of the settings within it."""
-    found: Flags = {}
     for name, hint in _hints(kind).items():
         bare, _ = _bare(hint)
-        said = [extra for extra in get_args(hint)[1:] if get_origin(hint) is Annotated]
+        said = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
         alone = any(getattr(extra, "prefix_name", None) is False for extra in said)
         nameless = any(getattr(extra, "name", None) == "" for extra in said)
-        here = "" if alone else prefix
-        found[kind, name] = f"--{here}{name.replace('_', '-')}"
+        flag = ("" if alone else prefix) + name.replace("_", "-")
+        yield (kind, name), f"--{flag}"
         members = get_args(bare) if get_origin(bare) in (Union, types.UnionType) else [bare]
         for inner in members:
             if isinstance(inner, type) and issubclass(inner, Settings):
-                below = _flags_of(inner, here if nameless else f"{here}{name.replace('_', '-')}.")
-                twice = {key for key, flag in below.items() if found.get(key, flag) != flag}
-                found |= {key: flag for key, flag in below.items() if key not in twice}
-                found = {key: flag for key, flag in found.items() if key not in twice}
-    return found
+                yield from _flags_of(inner, prefix if nameless else f"{flag}.")
 
 
 def added(default: Any, absent: Any) -> Any:

@@ -15,8 +15,9 @@ from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
 
 TRIALS = 64
 """of a block, about: enough at once to be worth what a batch costs on a CPU"""
-TRIALS_AT_ONCE = 2048
-"""of a part on a GPU, about: a tick of few takes it hardly less time"""
+TRIALS_AT_ONCE = 512
+"""of a part on a GPU, about: a tick of few takes it hardly less time, and MuJoCo steps more of them
+far longer than the tick takes; processes can share the parts"""
 
 
 class Block(NamedTuple):

@@ -151,8 +151,9 @@ PARTS = (
         "handoffs",
         "tip errors at handoffs that the reaching controller comes to",
         (
-            "-m mjx_grasp.handoffs --kind reached --objects eight --objects-dir SCANS "
-            "--per-object 256 --processes SHARERS --out experiments/results/handoffs_reached.npz",
+            "-m mjx_grasp.handoffs --kind reached --objects train held_out --objects-dir SCANS "
+            "--per-object 128 --max-rounds 5 --processes SHARERS "
+            "--out experiments/results/handoffs_reached.npz",
         ),
     ),
     Part(

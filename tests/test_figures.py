@@ -621,7 +621,7 @@ def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path
         (False, "CORES", 10, "cpu", None),
         (True, "CORES", 10, "cpu", None),
         (False, "SHARERS", 10, None, "false"),
-        (True, "SHARERS", 2, None, "false"),
+        (True, "SHARERS", 5, None, "false"),
         (True, "SCANS", ".", None, None),
     ],
 )

@@ -215,7 +215,7 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
     where = where or kind.__name__
     if not isinstance(record, Mapping):
         names = ", ".join(f.name for f in dataclasses.fields(kind))  # type: ignore[arg-type]
-        raise InputError(where, record, f"some of {names}")
+        raise InputError(where, record, f"a mapping of some of {names}")
     cached: Any = kind  # of whose hash a type checker thinks as an instance's
     fields = {f.name: f for f in dataclasses.fields(cached)}
     unknown = sorted(set(record) - set(fields))

@@ -355,7 +355,7 @@ def test_files_of_ones_own(tmp_path):
         ("pushes: 3", r"windy.yaml: scenario: found 'pushes'"),
         ("push: {force: 1}\nhold_s: 0.5", "it ends with a push until 1.0 s"),
         ("{", "no valid YAML"),
-        ("- 1", "some of description, objects"),
+        ("- 1", "a mapping of some of description, objects"),
         ("pusch: {force: 1}", r"found 'pusch', expected some of .*\(push\?\)"),
         ("table_height: 1.5", r"scenario\.table_height: found 1\.5, expected -0\.2 .*to 0\.2"),
     ],

@@ -259,11 +259,14 @@ def test_files_without_a_field_that_was_added_keep_what_it_was_then():
             {"needed": 1, "part": {"speeds": 1}},
             r"config\.part: found 'speeds', expected some of speed.* \(speed\?\)",
         ),
-        ({"needed": 1, "part": None}, r"config\.part: found None, expected some of speed"),
+        (
+            {"needed": 1, "part": None},
+            r"config\.part: found None, expected a mapping of some of speed",
+        ),
         ({"needed": 1, "part": {"speed": -1}}, r"config\.part\.speed: found -1, .*more than 0"),
         ({"needed": "1"}, r"config\.needed: found '1'"),
         ({"needed": 1.0}, r"config\.needed: found 1\.0"),
-        ([], "config: found \\[\\], expected some of needed, "),
+        ([], "config: found \\[\\], expected a mapping of some of needed, "),
         (None, "config: found None"),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.config import ObserverConfig
+from mjx_grasp.errors import InputError
 
 
 class ObserverState(NamedTuple):
@@ -49,7 +50,13 @@ def observe(
         dry_friction: Their friction losses [N m].
         dt: Control period [s].
         config: Gains and thresholds.
+
+    Raises:
+        InputError: Not one torque of each of these joints.
     """
+    if residual.shape[-1] != len(dry_friction):
+        expected = f"{len(dry_friction)}, one of each joint of thumb and wraps"
+        raise InputError("external_torque", f"{residual.shape[-1]} columns", expected)
     gain = config.gain * dt / residual.shape[-2]
     torque = state.torque
     for s in range(residual.shape[-2]):

@@ -49,8 +49,8 @@ def _settings(config: TrainConfig | str) -> TrainConfig:
 
 
 def _task(config: TrainConfig, worlds: int, extra_terms: tuple[RewardTerm, ...]) -> Task:
-    if worlds < 1:
-        raise InputError("num_envs", worlds, "1 or more")
+    if not isinstance(worlds, int) or worlds < 1:
+        raise InputError("num_envs", worlds, "a whole number, 1 or more")
     robot = load_robot(config.robot)
     stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir), robot=robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)

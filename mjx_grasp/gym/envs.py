@@ -58,6 +58,8 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             InputError: Not one seed per world.
         """
+        if isinstance(seed, np.integer):
+            seed = int(seed)
         first = seed if isinstance(seed, int) or seed is None else seed[0]
         super().reset(seed=first)
         if seed is None and self._now is not None:
@@ -88,7 +90,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             time is up, and infos.
 
         Raises:
-            InputError: Not one action per world.
+            InputError: Not one action per world, or one that is not finite.
             gymnasium.error.ResetNeeded: There was no `reset` yet.
         """
         taken = _taken(actions, self.action_space)
@@ -174,6 +176,8 @@ def _taken(actions: np.ndarray, space: gymnasium.Space[Any]) -> Float[np.ndarray
     found = np.asarray(actions, np.float32)
     if found.shape != space.shape:
         raise InputError("actions", found.shape, f"the shape {space.shape}")
+    if not np.isfinite(found).all():
+        raise InputError("actions", "numbers that are not finite", "finite ones")
     return found
 
 

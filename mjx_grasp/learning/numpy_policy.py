@@ -19,11 +19,14 @@ class NumpyPolicy(StoredPolicy):
         """Actions in ±1 for observations, as `Policy` gives them; float32.
 
         Raises:
-            InputError: The observations are not of as many numbers as the policy reads.
+            InputError: The observations are not finite, or not of as many numbers as the policy
+                reads.
         """
         if np.shape(obs)[-1:] != (self.observation_size,):
             expected = f"{self.observation_size} numbers last, which the policy reads"
             raise InputError("obs", f"shape {np.shape(obs)}", expected)
+        if not np.isfinite(obs).all():
+            raise InputError("obs", "numbers that are not finite", "finite ones")
         x = (np.asarray(obs, np.float32) - self.mean) / self.std
         *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
         for w, b in hidden:

@@ -12,6 +12,7 @@ import yaml
 from mjx_grasp.errors import FileError
 from mjx_grasp.objects.catalogue import Part, catalogue_entry, part_of
 from mjx_grasp.objects.folder import MeshFile
+from mjx_grasp.records.strict_yaml import load_yaml
 
 _FORMAT = (
     "parts: {NAME: [x, y, z] or {at: [x, y, z], size: [x, y, z]}, ...}, names of one lower-case "
@@ -58,7 +59,7 @@ def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Part]:
 def _read(path: Path) -> dict[str, Part]:
     """Parts by name, in the frame of the mesh's file."""
     try:
-        content = yaml.safe_load(path.read_text())
+        content = load_yaml(path.read_text())
         if set(content) != {"parts"}:
             raise ValueError(f"fields {', '.join(map(str, content))}")
         parts = {}

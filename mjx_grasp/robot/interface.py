@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.robot.kinematics import Kinematics
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
@@ -91,7 +92,15 @@ def measured_from_joints(
         q: Joint positions, robot order [rad].
         qd: Joint velocities [rad/s].
         external_torque: As in `Measured` [N m].
+
+    Raises:
+        InputError: Not one position and velocity of each joint.
     """
+    count = len(kinematics.joints)
+    for name, found in (("q", q), ("qd", qd)):
+        if jnp.shape(found) != (count,):
+            expected = f"{count} numbers, one of each joint"
+            raise InputError(name, f"shape {jnp.shape(found)}", expected)
     motion = kinematics.motion(q)
     axis, moment = motion.screws[:, :3], motion.screws[:, 3:]
     fingers = len(motion.pos) - 1

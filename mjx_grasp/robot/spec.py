@@ -31,9 +31,11 @@ from mjx_grasp.records.settings import (
     Several,
     from_record,
 )
+from mjx_grasp.records.strict_yaml import load_yaml
 from mjx_grasp.robot.identity import RobotIdentity
 
 _WHOLE = "description"
+_WIDEST_M = 1.0
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -227,7 +229,7 @@ def _read(path: Path) -> RobotSpec:
 @lru_cache(maxsize=8)  # a command asks several times, and to read YAML takes long
 def _described(text: str) -> tuple[_Description, bytes]:
     """A description, checked in itself, and all that it says."""
-    content = yaml.safe_load(text)
+    content = load_yaml(text)
     described = from_record(_Description, content, _WHOLE)
     _check_parts(described.arm, described.hand)
     return described, json.dumps(content, sort_keys=True).encode()
@@ -269,6 +271,8 @@ def _check_parts(arm: ArmSpec, hand: HandSpec) -> None:
     for what in ("name", "tip_body", "tip_geom", "tip_site", "pad_site"):
         values = [getattr(finger, what) for finger in hand.fingers]
         check(len(set(values)) == 3, "hand.fingers", values, f"another {what} for each finger")
+    wide = hand.span[1] <= _WIDEST_M
+    check(wide, "hand.span", hand.span, f"metres, {_WIDEST_M:g} at most")
     shared = [joint for finger in hand.fingers for joint in finger.joints]
     once = len(set(shared)) == len(shared)
     check(once, "hand.fingers", shared, "each joint in one finger only")
@@ -303,6 +307,8 @@ def _check_against_model(spec: RobotSpec, path: Path) -> None:
                 spec.joints,
                 f"the {kind}s of {spec.mjcf.name}, all, in its order: " + ", ".join(names[kind]),
             )
+    for name in spec.joints:
+        _check_servo(model, name, path)
     check("body", spec.hand.palm_body, "hand.palm_body")
     check("site", spec.hand.palm_site, "hand.palm_site")
     for i, finger in enumerate(spec.hand.fingers):
@@ -323,6 +329,17 @@ def _check_against_model(spec: RobotSpec, path: Path) -> None:
                 raise InputError(f"{path}: {field}.{kind}", found, f"one on {finger.tip_body}")
     _check_posture(model, spec.arm.joints, spec.arm.home, f"{path}: arm.home")
     _check_posture(model, spec.hand.joints, spec.hand.open_posture, f"{path}: hand.open_posture")
+
+
+def _check_servo(model: mujoco.MjModel, name: str, path: Path) -> None:
+    """The actuator of this name is a position servo of the joint of this name."""
+    actuator, field = model.actuator(name), f"{path}: {name}"
+    joint = int(mujoco.mjtTrn.mjTRN_JOINT)
+    if model.actuator_trntype[actuator.id] != joint or actuator.trnid[0] != model.joint(name).id:
+        raise InputError(field, "an actuator of something else", "one of the joint of its name")
+    gain, bias = float(actuator.gainprm[0]), float(actuator.biasprm[1])
+    if not gain > 0 or bias != -gain:
+        raise InputError(field, f"gain {gain:g} and bias {bias:g}", "a position servo (`position`)")
 
 
 def _check_posture(

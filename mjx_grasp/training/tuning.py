@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import os
+import re
 import shlex
 import shutil
 import time
@@ -31,6 +32,7 @@ from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, NonNegative, Positive, to_record
 from mjx_grasp.records.spread import TRIES
+from mjx_grasp.records.strict_yaml import load_yaml
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.job import given_to, run_training
@@ -39,6 +41,8 @@ SCHEMA = "mjx_grasp.tune/1"
 _COMMAND = ("python", "-m", "mjx_grasp.train")
 _LAST = 20
 """Iterations whose mean stands for the end of a training."""
+_OWN = ("out", "resume", "seed")
+"""Flags of `train` that are not for a plan's settings."""
 _PLAN = "a mapping with `seeds`, `settings` and, if wanted, `flags` and `objects`"
 
 
@@ -78,18 +82,27 @@ def read_plan(path: Path) -> list[Run]:
         FileError: It is no plan, or two of its trainings have the same name.
     """
     try:
-        content = yaml.safe_load(path.read_text())
+        content = _mapping("the plan", load_yaml(path.read_text()))
         known = {"flags", "settings", "objects", "seeds"}
         if unknown := sorted(set(content) - known):
             raise ValueError(f"unknown: {', '.join(unknown)}")
-        common = dict(content.get("flags", {}))
-        settings = {str(k): dict(v or {}) for k, v in content["settings"].items()}
-        objects = {str(k): _listed(k, v) for k, v in content.get("objects", {"": []}).items()}
-        seeds = [int(seed) for seed in _listed("seeds", content["seeds"])]
+        common = _flags_in("flags", content.get("flags"))
+        settings = {
+            _part(name): _flags_in(name, of)
+            for name, of in _mapping("settings", content.get("settings")).items()
+        }
+        asked = _mapping("objects", content.get("objects", {"": []}))
+        objects = {_part(name): _listed(name, of) for name, of in asked.items()}
+        seeds = _listed("seeds", content.get("seeds"))
+        if wrong := [seed for seed in seeds if type(seed) is not int]:
+            raise ValueError(f"seeds: {wrong[0]!r} is no whole number")
         if not (settings and objects and seeds) or len(set(seeds)) < len(seeds):
             raise ValueError("no settings, objects or seeds, or a seed twice")
-    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"no plan ({error})", _PLAN) from None
+        if any(objects.values()) and any("objects" in of for of in (common, *settings.values())):
+            raise ValueError("objects both as a flag and as sets")
+    except (OSError, yaml.YAMLError, ValueError) as error:
+        said = " ".join(str(error).split())
+        raise FileError(path, f"no plan ({said})", _PLAN) from None
     runs = []
     for setting, group, seed in itertools.product(settings, objects, seeds):
         of = common | settings[setting] | {"seed": seed}
@@ -104,7 +117,33 @@ def read_plan(path: Path) -> list[Run]:
     return runs
 
 
-def _listed(name: str, value: Any) -> list[Any]:
+def _mapping(name: str, value: Any) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{name}: {value!r} is no mapping")
+    return value
+
+
+def _flags_in(name: object, value: Any) -> dict[str, Any]:
+    """Flags by the names that `train` has for them, without those that the plan itself decides."""
+    flags = {}
+    for flag, of in _mapping(str(name), {} if value is None else value).items():
+        typed = str(flag).replace("_", "-")
+        if typed in _OWN:
+            raise ValueError(f"{name}: {flag}, which a plan decides itself")
+        if typed in flags:
+            raise ValueError(f"{name}: {typed} stands twice")
+        flags[typed] = of
+    return flags
+
+
+def _part(name: object) -> str:
+    """A part of the name of a training's folder."""
+    if re.fullmatch(r"(\w[\w.+-]*)?", str(name)) is None:
+        raise ValueError(f"{name!r} as a name: letters, digits and . + - _ alone")
+    return str(name)
+
+
+def _listed(name: object, value: Any) -> list[Any]:
     if not isinstance(value, list):
         raise ValueError(f"{name}: {value!r} is no list")
     return value
@@ -153,7 +192,7 @@ def tune(config: TuneConfig, console: Console) -> Table:
     content = {
         "schema": SCHEMA,
         "settings": to_record(config),
-        "plan": yaml.safe_load(config.plan.read_text()),
+        "plan": load_yaml(config.plan.read_text()),
         "rows": rows,
         "took_s": before + time.monotonic() - began,
         "provenance": made,

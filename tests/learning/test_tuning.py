@@ -72,13 +72,20 @@ def test_values_become_words_of_a_command_line():
         "seeds: [0]", "settings: {a: {}}", "settings: {a: {}}\nseeds: [0, 0]", "[1, 2]", "{a: :",
         "settings: {a: {}}\nseeds: [0]\nepisodes: 3", "settings: {a: {}}\nseeds: [x]",
         "settings: {a: {}}\nseeds: [0]\nobjects: {cups: mug}", "settings: {a: {}}\nseeds: '01'",
+        "", "settings: [a]\nseeds: [0]", "settings: {a: preset}\nseeds: [0]",
+        "settings: {a: {}}\nseeds: [1.7]", "settings: {a: {}}\nseeds: [true]",
+        "settings: {a: {seed: 5}}\nseeds: [0]", "settings: {a: {out: x}}\nseeds: [0]",
+        "settings: {a: {}, a: {preset: gpu}}\nseeds: [0]", "settings: {../a: {}}\nseeds: [0]",
+        "settings: {a: {objects-dir: x, objects_dir: y}}\nseeds: [0]",
+        "flags: {objects: [mug]}\nsettings: {a: {}}\nseeds: [0]\nobjects: {cups: [mug]}",
     ],
 )  # fmt: skip
 def test_what_is_no_plan_is_refused(tmp_path, text):
     path = tmp_path / "plan.yaml"
     path.write_text(text)
-    with pytest.raises(FileError, match=r"plan\.yaml.*no plan"):
+    with pytest.raises(FileError, match=r"plan\.yaml.*no plan") as error:
         read_plan(path)
+    assert "object" not in str(error.value).replace("objects", "")  # as in 'NoneType' object
 
 
 def test_two_trainings_of_the_same_name_are_refused(tmp_path):

@@ -21,6 +21,7 @@ from mjx_grasp.records.settings import (
     Share,
     from_record,
 )
+from mjx_grasp.records.strict_yaml import load_yaml
 
 NOMINAL = "nominal"
 LONGEST_DELAY_S = 0.5
@@ -170,7 +171,7 @@ def load_scenarios(names: Sequence[str]) -> dict[str, Scenario]:
 
 def _read(path: Path) -> Scenario:
     try:
-        content = yaml.safe_load(path.read_text())
+        content = load_yaml(path.read_text())
     except OSError as error:
         raise FileError(path, error.strerror or "no file", "a scenario") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:

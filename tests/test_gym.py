@@ -237,13 +237,19 @@ def test_what_cannot_be_is_refused(task, env):
     env.reset(seed=0)
     with pytest.raises(InputError, match="actions"):
         env.step(np.zeros(task.action_size))
+    with pytest.raises(InputError, match="numbers that are not finite"):
+        env.step(np.full(env.action_space.shape, np.nan))
     with pytest.raises(InputError, match="3 seeds"):
         env.reset(seed=[1, 2, 3])
+    seen, _ = env.reset(seed=np.int64(3))
+    np.testing.assert_array_equal(seen, env.reset(seed=3)[0])
 
 
 def test_settings_that_cannot_work_are_refused():
     with pytest.raises(InputError, match="num_envs"):
         closing_vector_env(0)
+    with pytest.raises(InputError, match="num_envs"):
+        closing_vector_env(2.0)
     with pytest.raises(InputError, match="--preset"):
         closing_vector_env(2, "no such")
     config = replace(preset_config("cpu"), objects=("banana",))

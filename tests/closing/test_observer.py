@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mjx_grasp.closing.config import ObserverConfig
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
+from mjx_grasp.errors import InputError
 
 CONFIG = ObserverConfig()
 LIMITS = np.tile(np.array([-1.0, 1.0], np.float32), (9, 1))
@@ -30,6 +31,14 @@ def run(residual, ticks, config=CONFIG, q=MIDDLE, qd=REST, state=None):
     for _ in range(ticks):
         state, touching = ticked(state, residual, q, qd, 5 * 0.002, config)
     return state, np.asarray(touching)
+
+
+@pytest.mark.wrong_types
+def test_torques_of_other_joints_are_refused():
+    with pytest.raises(InputError, match="external_torque: found '8 columns', expected 9"):
+        observe(
+            initial_observer((), 9, 3), jnp.zeros((5, 8)), MIDDLE, REST, LIMITS, DRY, 0.01, CONFIG
+        )
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 5, 20])

@@ -66,6 +66,15 @@ def test_answers_stay_within_one_without_warnings(shipped):
     assert np.isin(np.abs(found), 1.0).mean() > 0.99 and np.abs(found).max() == 1.0
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_lost_reading_is_refused_and_not_answered_by_what_is_no_number(shipped, wrong):
+    policy = NumpyPolicy.load(shipped)
+    seen = observations(policy, 1.0)
+    seen[0, 3] = wrong
+    with pytest.raises(InputError, match="obs: found 'numbers that are not finite'"):
+        policy(seen)
+
+
 def test_the_mean_observation_goes_in_as_zeros(shipped):
     policy = NumpyPolicy.load(shipped)
     x = np.zeros(policy.observation_size)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from six_axis import write_six_axis
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.robot.mjcf import robot_mjspec
@@ -121,6 +122,15 @@ def test_axes_of_joints_that_move_no_pad_are_nothing(any_robot, measured):
     idle = ~at.mask(np.concatenate([at.arm, at.grasping]))
     assert idle.any() == (any_robot.name == "rizon4_hx5d20" and len(any_robot.joints) == 27)
     assert not measured.joint_axis[:, idle].any() and not measured.joint_anchor[:, idle].any()
+
+
+@pytest.mark.wrong_types
+def test_readings_of_another_number_of_joints_are_refused(robot):
+    kinematics, n = measuring_kinematics(robot), len(robot.joints)
+    right, torque = np.zeros(n, np.float32), np.zeros((5, 9), np.float32)
+    for name, q, qd in (("q", right[1:], right), ("qd", right, right[1:])):
+        with pytest.raises(InputError, match=rf"^{name}: .* expected {n} numbers"):
+            measured_from_joints(kinematics, q, qd, torque)
 
 
 def test_a_driver_measures_what_the_simulator_reports(robot, starts):

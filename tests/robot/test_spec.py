@@ -105,6 +105,7 @@ THUMB = ("hand", "fingers", 0)
         (("hand", "open_posture"), [0.5] * 20, "hand.open_posture (finger_r_joint1)", "-2.3"),
         (("hand", "span"), [0.09, 0.02], "hand.span", "ascending"),
         (("hand", "span"), [0.02, float("nan")], "hand.span", "more than 0"),
+        (("hand", "span"), [20.0, 90.0], "hand.span", "metres"),
         (("hand", "scoring_friction"), -0.5, "hand.scoring_friction", "more than 0"),
         (("hand", "opposing_axis"), [0, 1, 1], "hand.opposing_axis", "length 1"),
         (("hand", "palm_site"), "", "hand.palm_site", "1 or more"),
@@ -136,6 +137,34 @@ def test_a_joint_without_limits_is_refused(tmp_path):
     path = write_six_axis(tmp_path)
     (tmp_path / "six_axis.xml").write_text(MJCF.replace(' range="-3.0 3.0"', ""))
     with pytest.raises(InputError, match=r"arm\.home \(flange\): found 'a joint without limits'"):
+        load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("found", "instead", "says"),
+    [
+        ('<position name="wrist" joint="wrist" kp="50"/>', '<motor name="wrist" joint="wrist"/>',
+         r"xml|yaml: wrist: found 'gain 1 and bias 0', expected a position servo"),
+        ('name="thumb_inner" joint="thumb_inner"', 'name="thumb_inner" joint="thumb_outer"',
+         r"thumb_inner: found 'an actuator of something else'"),
+        ('<joint name="wrist"', '<joint type="slide" name="wrist"',
+         r"arm\.home \(wrist\): found 'a slide joint', expected 'a hinge'|expected a hinge"),
+    ],
+)  # fmt: skip
+def test_actuators_that_are_no_servos_of_their_joints_and_slides_are_refused(
+    tmp_path, found, instead, says
+):
+    path = write_six_axis(tmp_path)
+    assert found in MJCF
+    (tmp_path / "six_axis.xml").write_text(MJCF.replace(found, instead, 1))
+    with pytest.raises(InputError, match=says):
+        load_robot(path)
+
+
+def test_a_key_that_stands_twice_in_a_description_is_refused(tmp_path):
+    path = write_six_axis(tmp_path)
+    path.write_text(path.read_text() + "\nname: other\n")
+    with pytest.raises(FileError, match="'name' stands twice"):
         load_robot(path)
 
 

@@ -1,31 +1,38 @@
 """`experiments/paper.py`: parts by name, what counts as done, and what its commands are."""
 
-import importlib
+import importlib.util
+import json
 import shlex
+import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.records.spread import Spread
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "experiments" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture
-def paper(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "experiments")
-    return importlib.import_module("paper")
+def plain(monkeypatch):
+    """The runner as it is."""
+    return script("paper")
 
 
-def test_parts_are_asked_for_by_name(paper):
-    assert [part.name for part in paper.chosen(("eight", "reach"))] == ["reach", "eight"]
-    assert paper.chosen(()) == list(paper.PARTS)
-    with pytest.raises(InputError, match="parts: found 'eigth', expected some of heatmaps"):
-        paper.chosen(("eigth",))
-
-
-def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(paper):
-    commands = [shlex.split(c) for c in {c for part in paper.PARTS for c in part.commands}]
+def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(plain):
+    commands = [shlex.split(c) for c in {c for part in plain.PARTS for c in part.commands}]
     made = [words[words.index("--out") + 1] for words in commands if "--out" in words]
     assert len(set(made)) == len(made) > 20
     for words in commands:
@@ -34,28 +41,185 @@ def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(pape
         assert file.is_file(), file
 
 
-def test_trainings_that_are_made_again_take_the_place_of_their_rows(paper):
-    collects = [c for part in paper.PARTS for c in part.commands if "collect_runs" in c]
+def test_trainings_that_are_made_again_take_the_place_of_their_rows(plain):
+    collects = [c for part in plain.PARTS for c in part.commands if "collect_runs" in c]
     assert len(collects) == 2 and all("--replace" in command for command in collects)
 
 
 def test_done_is_what_this_revision_made_of_these_scans_and_is_still_there(
-    paper, tmp_path, monkeypatch
+    plain, tmp_path, monkeypatch
 ):
     (tmp_path / "scans").mkdir()
     (tmp_path / "scans" / "a.obj").write_text("v 0 0 0")
-    monkeypatch.setattr(paper, "ROOT", tmp_path)
-    monkeypatch.setattr(paper, "git_revision", lambda: "abc")
-    monkeypatch.setattr(paper, "is_committed", lambda git: git == "abc")
+    monkeypatch.setattr(plain, "ROOT", tmp_path)
+    monkeypatch.setattr(plain, "git_revision", lambda: "abc")
+    monkeypatch.setattr(plain, "is_committed", lambda git: git == "abc")
     command, scans = "experiments/x.py --out results/x.json", tmp_path / "scans"
-    entry = {"git": "abc", "scans": paper.digest_of(scans), "seconds": 1.0}
-    assert not paper.done({command: entry}, command, scans), "nothing was made"
+    entry = {"git": "abc", "scans": plain.digest_of(scans), "seconds": 1.0}
+    assert not plain.done({command: entry}, command, scans), "nothing was made"
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "x.json").write_text("{}")
-    assert paper.done({command: entry}, command, scans)
-    assert not paper.done({}, command, scans)
-    assert not paper.done({command: entry | {"git": "abd"}}, command, scans)
+    assert plain.done({command: entry}, command, scans)
+    assert not plain.done({}, command, scans)
+    assert not plain.done({command: entry | {"git": "abd"}}, command, scans)
     (scans / "a.obj").write_text("v 0 0 0 # more")
-    assert not paper.done({command: entry}, command, scans)
+    assert not plain.done({command: entry}, command, scans)
     figure = "experiments/figure.py"
-    assert paper.done({figure: entry | {"scans": paper.digest_of(scans)}}, figure, scans)
+    assert plain.done({figure: entry | {"scans": plain.digest_of(scans)}}, figure, scans)
+
+
+@pytest.fixture
+def paper(tmp_path, monkeypatch):
+    """The runner with three quick commands, of which one fails until it is let through."""
+    module = script("paper")
+    passes, ran = tmp_path / "passes", tmp_path / "ran"
+    note = f"-c \"open('{ran}', 'a').write"
+    parts = (
+        module.Part("one", "the first", (f"{note}('1')\"", f"{note}('2')\"")),
+        module.Part("two", "fails", (f"-c \"assert __import__('os').path.exists('{passes}')\"",)),
+        module.Part("gpu", "long", (f"{note}('g')\"",), without_gpu="it takes days"),
+    )
+    monkeypatch.setattr(module, "PARTS", parts)
+    monkeypatch.setattr(module, "LAST", f"{note}('L')\"")
+    monkeypatch.setattr(module, "has_gpu", lambda: False)
+    monkeypatch.setattr(module, "git_revision", lambda: "abc")
+    return SimpleNamespace(module=module, passes=passes, ran=ran)
+
+
+def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_path, capsys):
+    module, scans = paper.module, tmp_path / "scans"
+    scans.mkdir()
+    config = module.PaperConfig(objects_dir=scans, state=tmp_path / "state.json")
+    with pytest.raises(MjxGraspError, match=r"ended with 1; .* the same command goes on"):
+        module.main(config)
+    assert paper.ran.read_text() == "12"
+    assert "gpu needs a GPU: it takes days" in capsys.readouterr().err
+    paper.passes.touch()
+    module.main(config)
+    assert paper.ran.read_text() == "12L"
+    module.main(replace(config, parts=("one",)))
+    assert paper.ran.read_text() == "12LL"
+    module.git_revision = lambda: "another"
+    module.main(replace(config, parts=("one",)))
+    assert paper.ran.read_text() == "12LL12L"
+    assert "0 min left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["scans", "uncommitted"])
+def test_what_the_paper_has_done_is_of_these_scans_and_all_of_the_code(paper, tmp_path, what):
+    module, scans = paper.module, tmp_path / "scans"
+    scans.mkdir()
+    config = module.PaperConfig(parts=("one",), objects_dir=scans, state=tmp_path / "state.json")
+    if what == "uncommitted":
+        module.git_revision = lambda: "abc-dirty"
+    module.main(config)
+    if what == "scans":
+        (scans / "new.stl").touch()
+    module.main(config)
+    assert paper.ran.read_text() == "12L12L"
+
+
+def test_a_command_that_two_parts_of_the_paper_share_runs_once(paper, tmp_path, monkeypatch):
+    module = paper.module
+    one, *others = module.PARTS
+    monkeypatch.setattr(module, "PARTS", (one, replace(one, name="too"), *others))
+    chosen = ("one", "too")
+    module.main(module.PaperConfig(chosen, objects_dir=tmp_path, state=tmp_path / "s" / "n.json"))
+    assert paper.ran.read_text() == "12L"
+
+
+def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path, monkeypatch):
+    module = paper.module
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    write = f"-c \"open('{module.FOLDER}/handoffs.npz', 'w')\""
+    monkeypatch.setattr(module, "PARTS", (module.Part("one", "writes", (write,)),))
+    module.main(module.PaperConfig(objects_dir=tmp_path, state=tmp_path / "state.json"))
+    assert (tmp_path / "runs" / "paper" / "handoffs.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("gpu", "word", "processes", "platforms", "preallocates"),
+    [
+        (False, "CORES", 10, "cpu", None),
+        (True, "CORES", 10, "cpu", None),
+        (False, "SHARERS", 10, None, "false"),
+        (True, "SHARERS", 5, None, "false"),
+        (True, "SCANS", ".", None, None),
+    ],
+)
+def test_processes_of_the_paper_share_cores_or_a_gpu(
+    paper, tmp_path, monkeypatch, gpu, word, processes, platforms, preallocates
+):
+    module, began = paper.module, []
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    monkeypatch.setattr(module, "has_gpu", lambda: gpu)
+    monkeypatch.setattr(module, "usable_cores", lambda: 10)
+    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE"):
+        monkeypatch.delenv(name, raising=False)
+
+    def run(words, cwd, env, check):
+        began.append((words[-1], env))
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(module.subprocess, "run", run)
+    module._run(f"x.py --processes {word}", tmp_path, Console(quiet=True))
+    ((last, env),) = began
+    assert last == str(processes)
+    assert env.get("JAX_PLATFORMS") == platforms
+    assert env.get("XLA_PYTHON_CLIENT_PREALLOCATE") == preallocates
+
+
+def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
+    paper, tmp_path, monkeypatch
+):
+    module = paper.module
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    words = ["-m", "mjx_grasp.train", "--preset", "paper", "--out", "runs/paper/seed0"]
+    folder = tmp_path / "runs" / "paper" / "seed0"
+    assert module.going_on(words) == words
+    folder.mkdir(parents=True)
+    assert module.going_on(words) == words, "nothing was begun in it"
+    (folder / "config.json").write_text("{}")
+    begun = folder / "provenance.json"
+    made = {"git": "abc", "command": f"python {' '.join(words)}"}
+    begun.write_text(json.dumps(made))
+    assert module.going_on(words) == ["-m", "mjx_grasp.train", "--resume", "runs/paper/seed0"]
+    other = ["experiments/x.py", "--out", "runs/paper/seed0"]
+    assert module.going_on(other) == other
+
+    others = (
+        json.dumps(made | {"git": "abd"}),
+        json.dumps(made | {"git": "abc-dirty"}),
+        json.dumps(made | {"command": "python -m mjx_grasp.train"}),
+        None,  # killed before it said anything
+    )
+    for k, other in enumerate(others, start=1):
+        folder.mkdir(exist_ok=True)
+        (folder / "config.json").write_text(f"{k}")
+        begun.unlink(missing_ok=True)
+        if other is not None:
+            begun.write_text(other)
+        assert module.going_on(words) == words and not folder.exists()
+        kept = folder.with_name(f"seed0.before-{k}") / "config.json"
+        assert kept.read_text() == f"{k}", "nothing is lost"
+
+
+def test_the_papers_parts_are_listed_and_unknown_ones_refused(paper, tmp_path, capsys):
+    module = paper.module
+    config = module.PaperConfig(list=True, state=tmp_path / "state.json")
+    module.main(config)
+    assert "0 of 2" in capsys.readouterr().out
+    with pytest.raises(InputError, match="parts: found 'three', expected some of one, two, gpu"):
+        module.main(replace(config, parts=("three",)))
+    with pytest.raises(InputError, match="--objects-dir: found 'nothing'"):
+        module.main(replace(config, list=False))
+
+
+def test_commands_of_the_paper_that_use_all_cores_can_share_their_work(plain, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    for command in (command for part in plain.PARTS for command in part.commands):
+        first, *_ = command.split()
+        if "--processes" in command and first.endswith(".py"):
+            found = vars(script(Path(first).stem)).values()
+            own = [c for c in found if isinstance(c, type) and c.__module__ == Path(first).stem]
+            assert any(issubclass(c, Spread) for c in own), command

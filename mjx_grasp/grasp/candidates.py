@@ -46,6 +46,17 @@ class Candidates(NamedTuple):
         return 0.5 * (self.wrap[..., 0, :] + self.wrap[..., 1, :])
 
 
+def check_scores(heatmap: Heatmap, score: Float[Array | np.ndarray, " v"]) -> None:
+    """Refuses scores that are not those of a heatmap.
+
+    Raises:
+        InputError: They are not one of each candidate.
+    """
+    if jnp.shape(score) != heatmap.score.shape:
+        expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
+        raise InputError("score", f"shape {jnp.shape(score)}", expected)
+
+
 def vertex_candidates(heatmap: Heatmap, score: Float[Array, " v"] | None = None) -> Candidates:
     """All candidates of a heatmap, in the order of its vertices.
 
@@ -58,9 +69,7 @@ def vertex_candidates(heatmap: Heatmap, score: Float[Array, " v"] | None = None)
     """
     heatmap = jax.tree.map(jnp.asarray, heatmap)
     scores = heatmap.score if score is None else jnp.asarray(score)
-    if scores.shape != heatmap.score.shape:
-        expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
-        raise InputError("score", f"shape {scores.shape}", expected)
+    check_scores(heatmap, scores)
     return Candidates(
         thumb=heatmap.thumb,
         normal=heatmap.normals,

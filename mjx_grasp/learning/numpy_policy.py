@@ -25,9 +25,10 @@ class NumpyPolicy(StoredPolicy):
         if np.shape(obs)[-1:] != (self.observation_size,):
             expected = f"{self.observation_size} numbers last, which the policy reads"
             raise InputError("obs", f"shape {np.shape(obs)}", expected)
-        if not np.isfinite(obs).all():
+        seen = np.asarray(obs, np.float32)
+        if not np.isfinite(seen).all():
             raise InputError("obs", "numbers that are not finite", "finite ones")
-        x = (np.asarray(obs, np.float32) - self.mean) / self.std
+        x = (seen - self.mean) / self.std
         *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
         for w, b in hidden:
             x = x @ w + b

@@ -131,8 +131,9 @@ def load_object(
     """
     asked = _one(name)
     mesh, parts = _shape(asked, objects_dir)
+    mass, _ = _weighed(asked, mesh, weight or Weight())
     derived = _derived({asked.name: mesh}, cache_dir)[asked.name]
-    return _model(asked, mesh, parts, derived, objects_dir, weight or Weight())
+    return _model(asked, mesh, parts, derived, objects_dir, mass)
 
 
 def load_objects(
@@ -164,17 +165,17 @@ def load_objects(
         )
     by_name = {each.name: each for each in asked}
     shapes = {each.name: _shape(each, objects_dir) for each in asked}
-    for name in own:
-        _weighed(by_name[name], shapes[name][0], weight)
+    weighed = {name: _weighed(by_name[name], mesh, weight) for name, (mesh, _) in shapes.items()}
     console = Console(stderr=True)
     derived = _derived({name: mesh for name, (mesh, _) in shapes.items()}, cache_dir, console)
     loaded = [
-        _model(each, *shapes[each.name], derived[each.name], objects_dir, weight) for each in asked
+        _model(each, *shapes[name], derived[name], objects_dir, weighed[name][0])
+        for name, each in by_name.items()
     ]
     for obj in loaded:
         if obj.name in own:
-            said = _weighed(by_name[obj.name], obj.mesh, weight)[1]
-            console.print(f"{obj.name}: {obj.mass:.3g} kg, {said}", markup=False, highlight=False)
+            said = f"{obj.name}: {obj.mass:.3g} kg, {weighed[obj.name][1]}"
+            console.print(said, markup=False, highlight=False)
     allowed = ConvexConfig().single_hull_error
     off = {o.name: 1e3 * o.outward_error_95 for o in loaded if o.outward_error_95 > allowed}
     if off:
@@ -191,13 +192,11 @@ def _model(
     parts: Mapping[str, Part],
     derived: Derived,
     objects_dir: Path | None,
-    weight: Weight,
+    mass: float,
 ) -> ObjectModel:
-    if asked.file is not None:
-        source, mass = "mesh", _weighed(asked, mesh, weight)[0]
-    else:
+    source = "mesh"
+    if asked.file is None:
         source = "parametric" if objects_dir is None else "scan"
-        mass = load_catalogue()[asked.name].mass
     com, inertia = mass_properties(mesh, mass)
     pieces, error = derived
     resting, digest = resting_poses(pieces, com), _content_hash(mesh)
@@ -207,12 +206,14 @@ def _model(
 
 
 def _weighed(asked: Asked, mesh: trimesh.Trimesh, weight: Weight) -> tuple[float, str]:
-    """The mass of a mesh of the user [kg], and in words where it comes from.
+    """The mass of an object [kg], and in words where it comes from.
 
     Raises:
         InputError: No matter is so heavy.
     """
-    entry = None if asked.file is None else catalogue_entry(asked.file.name)
+    if asked.file is None:
+        return load_catalogue()[asked.name].mass, "as in the catalogue"
+    entry = catalogue_entry(asked.file.name)
     if entry is not None and weight == Weight():
         return entry.mass, f"as the catalogue's {entry.name}; --mass or --density says otherwise"
     mass, said = weight.of(mesh.volume)

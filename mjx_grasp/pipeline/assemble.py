@@ -20,6 +20,7 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.packing import filled_size
 from mjx_grasp.grasp.candidates import (
     Candidates,
+    check_scores,
     evenly_over_directions,
     first_and_rest,
     vertex_candidates,
@@ -173,12 +174,10 @@ def known_object(
         heatmap = heatmap_of(obj, robot.hand)
     else:
         _check_of(obj, heatmap)
-    if score is not None and jnp.shape(score) != heatmap.score.shape:
-        expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
-        raise InputError("score", f"shape {jnp.shape(score)}", expected)
     if score is None:
         candidates = _own(*_filled(heatmap, heatmap.score), _hanging(obj), CANDIDATES)
     else:
+        check_scores(heatmap, score)
         candidates = steered_candidates(heatmap, score, obj=obj)
     weight, com = jnp.float32(obj.weight), jnp.asarray(obj.com, jnp.float32)
     return Known(collision_field(obj), candidates, weight, com)

@@ -130,7 +130,7 @@ class Settings:
     def name_of(self, field_name: str) -> str:
         """What a field is called in messages: its flag, while a command line is read."""
         own = f"{type(self).__name__}.{field_name}"
-        return _flags.get().get((type(self), field_name), own)
+        return (_flags.get() or {}).get((type(self), field_name), own)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class CommandSettings(Settings):
 
 
 Flags = dict[tuple[type, str], str]
-_flags: ContextVar[Flags] = ContextVar("_flags", default={})  # noqa: B039 (nobody changes it)
+_flags: ContextVar[Flags | None] = ContextVar("_flags", default=None)
 
 
 @contextmanager
@@ -213,11 +213,10 @@ def from_record(kind: type[S], record: Any, where: str = "") -> S:
             default, or an impossible value.
     """
     where = where or kind.__name__
-    if not isinstance(record, Mapping):
-        names = ", ".join(f.name for f in dataclasses.fields(kind))  # type: ignore[arg-type]
-        raise InputError(where, record, f"a mapping of some of {names}")
     cached: Any = kind  # of whose hash a type checker thinks as an instance's
     fields = {f.name: f for f in dataclasses.fields(cached)}
+    if not isinstance(record, Mapping):
+        raise InputError(where, record, f"a mapping of some of {', '.join(fields)}")
     unknown = sorted(set(record) - set(fields))
     if unknown:
         raise InputError(where, ", ".join(unknown), _meant(unknown, fields))

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -23,6 +21,7 @@ from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.trials import (
     Controller,
     Trials,
+    by_object,
     paired_draws,
     run_trials,
     zero_controller,
@@ -40,7 +39,7 @@ from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import SceneConfig, build_scene
-from mjx_grasp.tasks.assemble import TaskConfig, build_world
+from mjx_grasp.tasks.assemble import Engine, TaskConfig, build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.task import Task
 
@@ -61,6 +60,8 @@ class ComparedConfig(Spread):
     """force budgets of the policy [N]"""
     squeezes: tuple[Positive, ...] = (3.0, 5.0)
     """forces of the squeeze [N]"""
+    engine: Engine = "mujoco"
+    """what steps the physics: mujoco (native, in threads) or mjx (Warp, on a GPU)"""
     episodes: Count = 16
     """of each object under each condition [-]"""
     seed: Seed = 0
@@ -165,12 +166,13 @@ def take_known(record: dict[str, Any], path: Path, names: Sequence[str], what: s
         FileError: There is no such file, or it is of other trials.
     """
     earlier = read_json(path, what)
+    settings = {"engine": "mujoco"} | earlier.get("settings", {})  # once there was no other
     # The states are compared by what is in them.
     own = {"out", "policy", "budgets", "squeezes", "known", "handoffs", "objects_dir"}
     states = (earlier.get("sha256", {}).get("handoffs"), record["sha256"]["handoffs"])
     same = {"schema": (earlier.get("schema"), record["schema"]), "states (sha256)": states}
     same |= {
-        name: (earlier.get("settings", {}).get(name), value)
+        name: (settings.get(name), value)
         for name, value in record["settings"].items()
         if name not in own
     }
@@ -198,12 +200,13 @@ def journal_of(config: ComparedConfig, found: Comparison) -> Journal:
 
 
 class Runner:
-    """Trials of the controllers of a comparison in native MuJoCo, in one scene.
+    """Trials of the controllers of a comparison in one scene.
 
     Args:
         found: The comparison.
         episodes: Trials of each object.
         seed: Of their starts.
+        engine: What steps the physics.
         physics: Of the scene.
         angle_rad: How far any of the trials turns the object: tasks that turn none differ.
     """
@@ -213,12 +216,13 @@ class Runner:
         found: Comparison,
         episodes: int,
         seed: int,
+        engine: Engine = "mujoco",
         physics: SceneConfig | None = None,
         angle_rad: float = 0.0,
     ):
         scene = build_scene(found.objects, found.robot, physics or SceneConfig())
         self._world = build_world(scene, found.states, TaskConfig().control_dt)
-        self._found, self._episodes, self._seed = found, episodes, seed
+        self._found, self._episodes, self._seed, self._engine = found, episodes, seed, engine
         self._widest = StartNoise(angle_rad=angle_rad)
         self._worlds = episodes * len(found.names)
         self._made: dict[str, tuple[Task, Controller]] = {}
@@ -231,38 +235,29 @@ class Runner:
             at: What the rows say of the condition.
             noise: What its starts draw; from the seed all have the same draws.
         """
-        who, names, episodes = self._found.contestants[name], self._found.names, self._episodes
+        who, names, starts = self._found.contestants[name], self._found.names, self._world.starts
         if name not in self._made:
-            task = self._world.task("mujoco", self._worlds, who.task, self._widest, False)
+            task = self._world.task(self._engine, self._worlds, who.task, self._widest, False)
             self._made[name] = task, who.act or zero_controller(task)
-        noise, starts = replace(noise, budget_n=(who.force, who.force)), self._world.starts
-        draws = [
-            paired_draws(starts, self._world.scene.object_index(of), episodes, noise, self._seed)
-            for of in names
-        ]
-        joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
-        trials = run_trials(*self._made[name], joined, self._worlds)
-        return rows_of(trials, at, names, episodes)
+        noise = replace(noise, budget_n=(who.force, who.force))
+        index = [self._world.scene.object_index(of) for of in names]
+        draw = paired_draws(starts, index, self._episodes, noise, self._seed)
+        trials = run_trials(*self._made[name], draw, self._worlds)
+        return rows_of(trials, at, names)
 
 
-def rows_of(
-    trials: Trials, at: Mapping[str, Any], names: Sequence[str], episodes: int
-) -> list[dict[str, Any]]:
+def rows_of(trials: Trials, at: Mapping[str, Any], names: Sequence[str]) -> list[dict[str, Any]]:
     """One row per object, of trials in that order under one condition."""
-    letters = outcome_letters(trials)
-    rows = []
-    for k, name in enumerate(names):
-        of = slice(k * episodes, (k + 1) * episodes)
-        rows.append(
-            {
-                **at,
-                "object": name,
-                "outcomes": "".join(letters[of]),
-                "starts": trials.row[of].tolist(),
-                "forces_n": _rounded(np.asarray(trials.force_mean[of])),
-            }
-        )
-    return rows
+    return [
+        {
+            **at,
+            "object": name,
+            "outcomes": "".join(outcome_letters(own)),
+            "starts": own.row.tolist(),
+            "forces_n": _rounded(np.asarray(own.force_mean)),
+        }
+        for name, own in zip(names, by_object(trials, len(names)), strict=True)
+    ]
 
 
 def _rounded(forces: Float[np.ndarray, " n"]) -> list[float | None]:

@@ -75,8 +75,8 @@ Condition = Literal[
     "light", "heavy", "hard", "soft", "stiff",
 ]  # fmt: skip
 _TOGETHER = 4
-"""Objects of a job: so few that there are enough jobs for many cores, so many that compiling a
-controller is the smaller part of one."""
+"""Objects of a job in native MuJoCo: so few that there are enough jobs for many cores, so many that
+compiling a controller is the smaller part of one. In MJX a job is of all of them."""
 NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
 
@@ -119,7 +119,8 @@ class ComparisonConfig(Spread):
     what they have of the same policy"""
     engine: Engine = "mujoco"
     episodes: Count = 64
-    worlds: Count = 256
+    worlds: Count | None = None
+    """of a batch; by default 256 in native MuJoCo and 4,096 in MJX [-]"""
     seed: Seed = 1
 
 
@@ -316,7 +317,8 @@ def main(config: ComparisonConfig) -> None:
         made_of["known"] = [part.origin for part in found]
     rows, made, counted = before(config, made_of)
     asked, finished = own.asked(config), len(rows) // len(own.names)
-    parts = [own.names[k : k + _TOGETHER] for k in range(0, len(own.names), _TOGETHER)]
+    together = len(own.names) if config.engine == "mjx" else _TOGETHER
+    parts = [own.names[k : k + together] for k in range(0, len(own.names), together)]
     new = [
         (f"controller {k}, from {names[0]}", _Job(each, names))
         for k, each in enumerate(asked)

@@ -187,7 +187,7 @@ class Holds:
         impratio, name = job
         config, world, (task, force) = self._config, self._world(impratio), self.tasks[name]
         noise = StartNoise(budget_n=(force, force))
-        start = paired_draws(world.starts, 0, config.trials, noise, config.seed)
+        start = paired_draws(world.starts, [0], config.trials, noise, config.seed)
         run = world.task("mujoco", config.trials, task, noise, with_privileged=False)
         knows = name.startswith("policy")
         act = self._policy.controller() if knows else zero_controller(run)

@@ -26,7 +26,7 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.trials import Trials, paired_draws, run_trials
+from mjx_grasp.evaluation.trials import Trials, by_object, paired_draws, run_trials
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import policy_task
@@ -97,11 +97,10 @@ def evaluated(world: World, policy_file: Path, config: AblationConfig) -> list[d
         for name, noise in CONDITIONS.items()
         for budget in config.budgets
     ]
-    indices = np.unique(np.asarray(world.starts.object_index))
+    indices = np.unique(np.asarray(world.starts.object_index)).tolist()
     draws = [
-        paired_draws(world.starts, int(index), config.episodes, noise, config.seed)
+        paired_draws(world.starts, indices, config.episodes, noise, config.seed)
         for *_, noise in noises
-        for index in indices
     ]
     draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
     size = config.episodes * len(indices)
@@ -109,9 +108,8 @@ def evaluated(world: World, policy_file: Path, config: AblationConfig) -> list[d
     task = world.task("mujoco", size, policy_task(policy), widest, with_privileged=False)
     trials = run_trials(task, policy.controller(), draw, size)
     return [
-        {"condition": name, "budget_n": budget}
-        | _sums(Trials(*(column[k * size : (k + 1) * size] for column in trials)), len(indices))
-        for k, (name, budget, _) in enumerate(noises)
+        {"condition": name, "budget_n": budget} | _sums(own, len(indices))
+        for (name, budget, _), own in zip(noises, by_object(trials, len(noises)), strict=True)
     ]
 
 

@@ -55,8 +55,8 @@ def conditions(config: PoseErrorConfig) -> list[tuple[dict[str, float], StartNoi
 
 def _runner(config: PoseErrorConfig) -> Runner:
     """What each of several processes needs."""
-    widest = max(noise.angle_rad for _, noise in conditions(config))
-    return Runner(compared(config, SCHEMA, _WHAT), config.episodes, config.seed, angle_rad=widest)
+    found, widest = compared(config, SCHEMA, _WHAT), max(n.angle_rad for _, n in conditions(config))
+    return Runner(found, config.episodes, config.seed, config.engine, angle_rad=widest)
 
 
 def _rows(runner: Runner, cell: Cell) -> list[dict[str, Any]]:

@@ -54,7 +54,6 @@ from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.closing import ClosingState, ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, RobotErrors, StartNoise
-from mjx_grasp.tasks.starts import StartDraw
 
 SCHEMA = "mjx_grasp.sensed_forces/1"
 ROOT = Path(__file__).resolve().parent.parent
@@ -276,11 +275,8 @@ def _run(
 ) -> tuple[ClosingTask, Trials, Seen]:
     """The trials of all objects under one condition; starts are the same under each."""
     noise = StartNoise(robot=condition.errors)
-    draws = [
-        paired_draws(world.starts, world.scene.object_index(n), episodes, noise, seed)
-        for n in names
-    ]
-    draw: StartDraw = jax.tree.map(lambda *rows: jnp.concatenate(rows), *draws)
+    index = [world.scene.object_index(name) for name in names]
+    draw = paired_draws(world.starts, index, episodes, noise, seed)
     count = len(draw.row)
     draw = draw._replace(robot=draw.robot._replace(friction=jnp.full(count, condition.friction)))
     settings = ClosingTaskConfig(grip=grip, forces=condition.forces)

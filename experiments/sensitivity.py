@@ -75,7 +75,7 @@ class Runners:
         found = compared(config, SCHEMA, _WHAT)
         self._of = functools.cache(
             lambda limit: Runner(
-                found, config.episodes, config.seed, SceneConfig(finger_torque=limit)
+                found, config.episodes, config.seed, config.engine, SceneConfig(finger_torque=limit)
             )
         )
 

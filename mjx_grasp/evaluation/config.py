@@ -16,6 +16,9 @@ from mjx_grasp.records.spread import Spread
 from mjx_grasp.tasks.assemble import Engine
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
 
+WORLDS: dict[Engine, int] = {"mujoco": 256, "mjx": 4096}
+"""Worlds of a batch, as far as there are so many trials."""
+
 
 @dataclass(frozen=True)
 class EvaluateConfig(ObjectsConfig, Spread):
@@ -63,8 +66,8 @@ class EvaluateConfig(ObjectsConfig, Spread):
     """factor on the object's mass [-]"""
     robot_errors: RobotErrors = field(default_factory=RobotErrors)
     """how the robot differs from its model: gains, latency, noise of its torque sensors"""
-    worlds: Count = 256
-    """worlds per batch [-]"""
+    worlds: Count | None = None
+    """worlds per batch; by default 256 in native MuJoCo and 4,096 in MJX [-]"""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -14,11 +14,12 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.config import WORLDS, EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.trials import (
     Trials,
+    by_object,
     incidents,
     paired_draws,
     run_trials,
@@ -79,7 +80,10 @@ def evaluate(
     task = own or model_based(task or TaskConfig(), config)
     # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
     task = replace(task, reward=type(task.reward)())
-    worlds = min(config.worlds, config.episodes)
+    # Native MuJoCo steps the worlds of one object in threads; a GPU takes all that have room.
+    most = config.worlds or WORLDS[config.engine]
+    together = max(1, most // config.episodes) if config.engine == "mjx" else 1
+    worlds = min(most, config.episodes * min(together, len(names)))
     # Trials are drawn below. A task itself uses the robot's errors, and whether objects are turned.
     turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0
     felt = StartNoise(angle_rad=turned, robot=config.noise.robot)
@@ -90,13 +94,16 @@ def evaluate(
         threads = f", {usable_cores()} threads" if config.engine == "mujoco" else ""
         what = f"{config.controller} in {config.engine}{threads}"
         job = bar.add_task(what, total=len(names))
-        for name in names:
-            index = world.scene.object_index(name)
+        for first in range(0, len(names), together):
+            beside = names[first : first + together]
+            index = [world.scene.object_index(name) for name in beside]
             draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
-            trials[name] = run_trials(run, controller, draw, worlds)
-            rows.append(summarise(name, trials[name], config, reached, task))
-            _warn(name, trials[name], console)
-            bar.update(job, advance=1)
+            ran = run_trials(run, controller, draw, worlds)
+            for name, own_trials in zip(beside, by_object(ran, len(beside)), strict=True):
+                trials[name] = own_trials
+                rows.append(summarise(name, own_trials, config, reached, task))
+                _warn(name, own_trials, console)
+            bar.update(job, advance=len(beside))
     return rows, trials
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -62,15 +62,29 @@ def _always(action: Float[Array, " a"], obs: Observations) -> Float[Array, "w a"
 
 
 def paired_draws(
-    starts: StartTable, object_index: int, episodes: int, noise: StartNoise, seed: int
+    starts: StartTable, objects: Sequence[int], episodes: int, noise: StartNoise, seed: int
 ) -> StartDraw:
-    """Starts of one object, the same for every controller with the same seed.
+    """Starts of objects, one after the other, the same for every controller with the same seed.
 
-    Every handoff of the object is used once before any is used twice.
+    Every handoff of an object is used once before any is used twice.
+
+    Args:
+        starts: Of all objects.
+        objects: Their indices in the scene.
+        episodes: Of each object.
+        noise: What is drawn.
+        seed: Of the draws. Those of an object do not depend on which others there are.
 
     Raises:
-        InputError: The table has no start of this object.
+        InputError: The table has no start of an object.
     """
+    draws = [_draws_of(starts, index, episodes, noise, seed) for index in objects]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+
+
+def _draws_of(
+    starts: StartTable, object_index: int, episodes: int, noise: StartNoise, seed: int
+) -> StartDraw:
     rows = np.flatnonzero(np.asarray(starts.object_index) == object_index)
     if len(rows) == 0:
         raise InputError("objects", f"index {object_index}", "an object with start states")
@@ -79,6 +93,12 @@ def paired_draws(
     picked = rows[order[np.arange(episodes) % len(rows)]]
     draw = draw_starts(key, episodes, noise, jnp.ones(len(starts.object_index)))
     return draw._replace(row=jnp.asarray(picked))
+
+
+def by_object(trials: Trials, count: int) -> list[Trials]:
+    """Trials of as many objects apart, of each as many as of the others, as they were drawn."""
+    apart = (np.split(np.asarray(part), count) for part in trials)
+    return [Trials(*parts) for parts in zip(*apart, strict=True)]
 
 
 def run_trials(task: Task, controller: Controller, draw: StartDraw, worlds: int) -> Trials:

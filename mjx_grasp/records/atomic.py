@@ -124,4 +124,17 @@ def read_json(path: str | Path, expected: str) -> dict[str, Any]:
 def write_json(path: str | Path, content: Any) -> None:
     """Writes JSON, whole or not at all; paths and the like become text."""
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, default=str) + "\n")
+        temporary.write_text(_json(content, "\n") + "\n")
+
+
+def _json(value: Any, line: str) -> str:
+    """As `json.dumps` with an indent of one, but lists of words or numbers, which are long where
+    there are many trials, are a line each."""
+    inner = line + " "
+    if isinstance(value, dict) and value:
+        # json.dumps knows what may be a key.
+        named = ((json.dumps({key: 0})[1:-4], _json(x, inner)) for key, x in value.items())
+        return "{" + ",".join(f"{inner}{name}: {text}" for name, text in named) + line + "}"
+    if isinstance(value, list | tuple) and any(isinstance(x, dict | list | tuple) for x in value):
+        return "[" + ",".join(inner + _json(x, inner) for x in value) + line + "]"
+    return json.dumps(value, default=str)

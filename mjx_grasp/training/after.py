@@ -149,7 +149,7 @@ def best_grasp(world: World, name: str, policy: Policy, noise: StartNoise, seed:
     """
     task = deployed_task(policy)
     run = world.task("mujoco", 8, task, noise, with_privileged=False)
-    draw = paired_draws(world.starts, world.scene.object_index(name), 8, noise, seed)
+    draw = paired_draws(world.starts, [world.scene.object_index(name)], 8, noise, seed)
     trials, qpos = record_trials(run, policy.controller(), draw)
     best = int(np.argmax(trials.success))
     return record_world(world.scene, name, qpos[:, best], task.control_dt)

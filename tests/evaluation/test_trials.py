@@ -28,33 +28,33 @@ def task(starts, native):
 
 
 def test_controllers_of_one_seed_start_alike(starts):
-    draws = [paired_draws(starts, 1, 20, NOISE, seed=5) for _ in range(2)]
+    draws = [paired_draws(starts, [1], 20, NOISE, seed=5) for _ in range(2)]
     jax.tree.map(np.testing.assert_array_equal, *draws)
-    other = paired_draws(starts, 1, 20, NOISE, seed=6)
+    other = paired_draws(starts, [1], 20, NOISE, seed=6)
     assert (np.asarray(draws[0].offset) != np.asarray(other.offset)).any()
 
 
 @pytest.mark.parametrize("episodes", [1, 2, 3, 7, 12])
 @pytest.mark.parametrize("k", range(3))
 def test_every_handoff_is_used_once_before_any_twice(starts, episodes, k):
-    rows = np.asarray(paired_draws(starts, k, episodes, NOISE, seed=0).row)
+    rows = np.asarray(paired_draws(starts, [k], episodes, NOISE, seed=0).row)
     assert set(rows) <= set(range(3 * k, 3 * k + 3)) and len(rows) == episodes
     counts = np.bincount(rows, minlength=9)[3 * k : 3 * k + 3]
     assert counts.max() - counts.min() <= 1
 
 
 def test_order_of_handoffs_depends_on_the_seed(starts):
-    orders = {tuple(np.asarray(paired_draws(starts, 0, 3, NOISE, s).row)) for s in range(20)}
+    orders = {tuple(np.asarray(paired_draws(starts, [0], 3, NOISE, s).row)) for s in range(20)}
     assert len(orders) > 3
 
 
 def test_object_without_starts_is_refused(starts):
     with pytest.raises(InputError, match="start states"):
-        paired_draws(starts, 3, 4, NOISE, seed=0)
+        paired_draws(starts, [3], 4, NOISE, seed=0)
 
 
 def test_padding_of_the_last_batch_changes_nothing(task, starts):
-    draw = paired_draws(starts, 0, 5, NOISE, seed=1)
+    draw = paired_draws(starts, [0], 5, NOISE, seed=1)
     controller = zero_controller(task)
     together, padded = (run_trials(task, controller, draw, w) for w in (5, 3))
     np.testing.assert_array_equal(together.row, draw.row)
@@ -64,7 +64,7 @@ def test_padding_of_the_last_batch_changes_nothing(task, starts):
 
 
 def test_controller_decides_the_actions_from_the_observations(task, starts):
-    draw = paired_draws(starts, 0, 2, NOISE, seed=1)
+    draw = paired_draws(starts, [0], 2, NOISE, seed=1)
 
     def push(obs):
         return jnp.broadcast_to(jnp.sign(obs["state"][:, :1]), (len(obs["state"]), 15))
@@ -75,7 +75,7 @@ def test_controller_decides_the_actions_from_the_observations(task, starts):
 
 
 def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, starts):
-    draw = paired_draws(starts, 0, 2, NOISE, seed=1)
+    draw = paired_draws(starts, [0], 2, NOISE, seed=1)
 
     def push(sign, obs, half):
         return half * jnp.broadcast_to(
@@ -93,7 +93,7 @@ def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, s
 
 
 def test_recorded_trials_are_the_same_trials(task, starts):
-    draw = paired_draws(starts, 0, 2, NOISE, seed=2)
+    draw = paired_draws(starts, [0], 2, NOISE, seed=2)
     trials, qpos = record_trials(task, zero_controller(task), draw)
     expected = run_trials(task, zero_controller(task), draw, 2)
     for name, a, b in zip(trials._fields, trials, expected, strict=True):

@@ -3,6 +3,8 @@
 import json
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import (
@@ -98,3 +100,22 @@ def test_what_is_no_json_object_is_refused_by_name(tmp_path, text, found):
 def test_what_was_written_is_read(tmp_path):
     write_json(tmp_path / "a.json", {"path": tmp_path, "numbers": (1, 2.5)})
     assert read_json(tmp_path / "a.json", "facts") == {"path": str(tmp_path), "numbers": [1, 2.5]}
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.integers(), inner),
+)
+
+
+@given(_JSON)
+def test_json_says_what_json_dumps_would(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("json") / "a.json"
+    write_json(path, content)
+    assert json.loads(path.read_text()) == json.loads(json.dumps(content))
+
+
+def test_a_list_of_numbers_is_a_line(tmp_path):
+    write_json(tmp_path / "a.json", {"rows": [{"forces_n": [1.5, None], "empty": []}], "seed": 0})
+    lines = ["{", ' "rows": [', "  {", '   "forces_n": [1.5, null],', '   "empty": []', "  }"]
+    assert (tmp_path / "a.json").read_text().splitlines() == [*lines, " ],", ' "seed": 0', "}"]

@@ -22,6 +22,7 @@ from mjx_grasp.evaluation.front_tables import (
     object_budget_table,
 )
 from mjx_grasp.evaluation.handoff_tables import tip_error_table
+from mjx_grasp.evaluation.judging import gain, mean_force, mean_success, resampled, same_starts
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
 from mjx_grasp.evaluation.tables import (
     Column,
@@ -208,6 +209,44 @@ def conditions(folder: Path) -> str:
     rows = tuple((row[0].removeprefix(engine), *row[1:]) for row in table.rows)
     objects = counted(len(next(iter(groups)).objects), "object")
     return f"{objects}, {engine.rstrip(', ')}:\n\n" + markdown(replace(table, rows=rows))
+
+
+def engines_agree(paths: Sequence[Path]) -> str:
+    """The same trials of controllers in both engines, side by side.
+
+    Args:
+        paths: Results of both.
+    """
+    groups = read_groups(path for path in paths if path.exists())
+    rows, apart, same = [], [], []
+    for condition, columns in groups.items():
+        others = {c.label: c for c in groups.get(condition._replace(engine="mjx"), ())}
+        for column in columns if condition.engine == "mujoco" else ():
+            if column.label not in others:
+                continue
+            pair = column, others[column.label]
+            trials = same_starts([list(each.rows.values()) for each in pair])
+            weights = resampled(trials)
+            native, other = mean_success(trials, weights)[0]
+            forces = mean_force(trials, weights)[0]
+            apart.append(other - native)
+            same.append(100.0 * (trials.success[0] == trials.success[1]).mean())
+            short = condition.short().removeprefix(_common(condition))
+            cells = f"{native:.1f}", f"{other:.1f}", gain(trials, weights, 1, 0).text()
+            cells += f"{same[-1]:.1f}", f"{forces[0]:.2f}", f"{forces[1]:.2f}"
+            rows.append((short, column.label, *cells))
+    if not rows:
+        return NOTHING
+    header = ("condition", "controller", "native %", "MJX %", "MJX − native, points")
+    header += ("same outcome %", "native N", "MJX N")
+    table = markdown(Table("Engines", header, tuple(rows), names=2))
+    said = (
+        f"Success differs by {min(apart):+.1f} to {max(apart):+.1f} points, {np.mean(apart):+.2f} "
+        f"in the mean of {len(rows)} settings; {min(same):.1f} to {max(same):.1f} % of their "
+        "trials have the same outcome."
+    )
+    title = "controller by controller, with 95 % intervals over start states"
+    return f"{said}\n\n<details><summary>{title}</summary>\n\n{table}\n\n</details>"
 
 
 def _common(condition: Condition) -> str:

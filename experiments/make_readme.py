@@ -86,6 +86,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "least-force": closing_tables.least_by_contacts(folder / "least_force.json"),
             "conditions": closing_tables.conditions(folder / "conditions"),
+            "engines-agree": closing_tables.engines_agree(
+                [folder / "eight_native.json", folder / "engines" / "eight.json"]
+            ),
             "policy": closing_tables.shipped_policy(root / "assets" / "policy.npz"),
             "earlier": policy_tables.earlier(folder, root / "assets" / "policy.npz"),
             "runs": closing_tables.runs([p for p in files if schemas[p] == RUNS_SCHEMA]),

@@ -30,6 +30,7 @@ from rich.table import Table
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.evaluation.paper import EPISODES
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import (
     device_name,
@@ -115,7 +116,8 @@ class Part:
     shows: str
     commands: tuple[str, ...]
     """relative to the repository; `SCANS` stands for the folder of scans, `CORES` for the number of
-    cores, `SHARERS` for that of processes that share a GPU, or without one the cores"""
+    cores, `SHARERS` for that of processes that share a GPU, or without one the cores; `TRIALS:56`
+    for as many trials as published in MJX on a GPU, or without one 56 in native MuJoCo"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
 
@@ -172,14 +174,25 @@ PARTS = (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
             "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 8 "
             "--squeeze-forces 2 3 5 8 12 --grip-frictions 0.4 "
-            "--processes CORES --out experiments/results/conditions/exact.json",
+            "TRIALS:64 --out experiments/results/conditions/exact.json",
             "experiments/evaluate_controllers.py --objects-dir SCANS --noisy-torque --conditions "
             "nominal offset10 offset20 friction04 friction05 friction11 light heavy hard "
-            "--force-budgets 3 8 --squeeze-forces 3 5 8 --grip-frictions 0.4 --episodes 32 "
-            "--processes CORES --out experiments/results/conditions/noisy.json",
+            "--force-budgets 3 8 --squeeze-forces 3 5 8 --grip-frictions 0.4 "
+            "TRIALS:32 --out experiments/results/conditions/noisy.json",
             "experiments/force_figure.py",
             "experiments/least_force.py --objects-dir SCANS",
         ),
+    ),
+    Part(
+        "engines",
+        "not of it: the same trials in native MuJoCo and in MJX",
+        (
+            "experiments/evaluate_controllers.py --engine mjx --objects-dir SCANS "
+            "--conditions nominal hard --force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 "
+            "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 128 "
+            "--out experiments/results/engines/eight.json",
+        ),
+        without_gpu="MJX takes days for them on a few cores",
     ),
     Part(
         "objects",
@@ -190,8 +203,8 @@ PARTS = (
             f"--out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
             f"--handoffs {FOLDER}/reached_all.npz --states all --force-budgets 3 6 12 "
-            "--squeeze-forces 3 --grip-frictions 0.4 --episodes 24 --worlds 24 "
-            "--processes CORES --out experiments/results/objects/reached.json",
+            "--squeeze-forces 3 --grip-frictions 0.4 "
+            "TRIALS:24 --out experiments/results/objects/reached.json",
             "experiments/least_force.py --objects-dir SCANS --objects train held_out "
             f"--handoffs {FOLDER}/reached_all.npz --frictions 0.8 "
             "--out experiments/results/objects/least_force.json",
@@ -203,7 +216,7 @@ PARTS = (
         "pose-error",
         "success over errors of the object's pose at the handoff",
         (
-            "experiments/pose_error.py --objects-dir SCANS --episodes 56 --processes CORES",
+            "experiments/pose_error.py --objects-dir SCANS TRIALS:56",
             "experiments/pose_error_figure.py",
         ),
     ),
@@ -281,6 +294,7 @@ PARTS = (
     ),
 )
 LAST = "experiments/make_readme.py"
+_TRIALS = "TRIALS:"
 _CORES_EACH = 2
 """Of processes that share a GPU: each compiles for minutes on one core, and then steps on all."""
 
@@ -417,17 +431,31 @@ def going_on(words: list[str]) -> list[str]:
     return words
 
 
+def worded(command: str, scans: Path) -> list[str]:
+    """A command as it is typed on this machine, without Python's name."""
+    cores, gpu = usable_cores(), has_gpu()
+    sharers = max(1, cores // _CORES_EACH) if gpu else cores
+    there = os.path.relpath(scans, ROOT)  # results keep the command
+    given = {"SCANS": there, "CORES": str(cores), "SHARERS": str(sharers)}
+    words = []
+    for word in shlex.split(command):
+        few = word.removeprefix(_TRIALS)
+        if few == word:
+            words.append(given.get(word, word))
+        elif gpu:
+            words += ["--engine", "mjx", "--episodes", str(EPISODES)]
+        else:
+            words += ["--episodes", few, "--processes", str(cores)]
+    return words
+
+
 def _run(command: str, scans: Path, console: Console) -> None:
     """Runs a command of this repository in its root.
 
     Raises:
         MjxGraspError: It failed.
     """
-    there = os.path.relpath(scans, ROOT)  # results keep the command
-    cores = usable_cores()
-    sharers = max(1, cores // _CORES_EACH) if has_gpu() else cores
-    given = {"SCANS": there, "CORES": str(cores), "SHARERS": str(sharers)}
-    words = going_on([given.get(word, word) for word in shlex.split(command)])
+    words = going_on(worded(command, scans))
     console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
     # Processes that share all cores would only wait for each other on one GPU.

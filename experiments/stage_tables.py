@@ -21,7 +21,6 @@ from mjx_grasp.records.table import Table
 
 NOTHING = "_No results file yet._"
 _NO_WAY = Failure.NO_CANDIDATE.name.lower()
-_NONE = Failure.NONE.name.lower()
 
 
 def markdown(table: Table) -> str:
@@ -278,13 +277,6 @@ def grasps_by_split(path: Path) -> str:
             f"- {said}: {_share(held, rows)} lifted and held, {_share(up, rows)} up after 9 s; of "
             f"the {len(ways)} trials of {len(rows)} in which there was a way, {_share(held, ways)} "
             f"and {_share(up, ways)}."
-        )
-    held = [row for row in nominal["rows"] if row["outcome"] == "success"]
-    given_up = sum(row["failure"] != _NONE for row in held)
-    if given_up:
-        lines.append(
-            f"- Judged a second after the hand was at the top: of the {len(held)} held then, "
-            f"{given_up} were given up before their trial's end."
         )
     refused = Counter(row["object"] for row in nominal["rows"] if _refused(row))
     names = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in refused.most_common())

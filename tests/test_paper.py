@@ -169,6 +169,20 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
     assert env.get("XLA_PYTHON_CLIENT_PREALLOCATE") == preallocates
 
 
+def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
+    paper, tmp_path, monkeypatch
+):
+    module = paper.module
+    monkeypatch.setattr(module, "usable_cores", lambda: 10)
+    for gpu, words in (
+        (True, "--engine mjx --episodes 448"),
+        (False, "--episodes 56 --processes 10"),
+    ):
+        monkeypatch.setattr(module, "has_gpu", lambda gpu=gpu: gpu)
+        found = module.worded("x.py TRIALS:56 --out y", tmp_path)
+        assert found == ["x.py", *words.split(), "--out", "y"]
+
+
 def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(
     paper, tmp_path, monkeypatch
 ):

@@ -15,7 +15,7 @@ import numpy as np
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.statistics import mean_rate_interval
 from mjx_grasp.handoff.dataset import KINDS
-from mjx_grasp.records.atomic import read_json, replacing
+from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity
 from mjx_grasp.tasks.config import RobotErrors
@@ -210,9 +210,7 @@ def write_results(
         "rows": [asdict(r) for r in rows],
         "provenance": provenance,
     }
-    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-    with replacing(path) as temporary:
-        temporary.write_text(text)
+    write_json(path, document, strict=True)
 
 
 def read_results(path: str | Path, kind: type[Row] = ResultRow) -> Results[Row]:  # type: ignore[assignment]

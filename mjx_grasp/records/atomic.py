@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -121,20 +122,28 @@ def read_json(path: str | Path, expected: str) -> dict[str, Any]:
     return document
 
 
-def write_json(path: str | Path, content: Any) -> None:
-    """Writes JSON, whole or not at all; paths and the like become text."""
+def write_json(path: str | Path, content: Any, *, strict: bool = False) -> None:
+    """Writes JSON, whole or not at all; paths and the like become text.
+
+    Args:
+        path: The file.
+        content: As `json.dumps` takes it.
+        strict: Whether what JSON does not know is refused: numbers that are none, and what would
+            become text.
+    """
+    dump = partial(json.dumps, allow_nan=False) if strict else partial(json.dumps, default=str)
     with replacing(path) as temporary:
-        temporary.write_text(_json(content, "\n") + "\n")
+        temporary.write_text(_json(content, "\n", dump) + "\n")
 
 
-def _json(value: Any, line: str) -> str:
-    """As `json.dumps` with an indent of one, but lists of words or numbers, which are long where
-    there are many trials, are a line each."""
+def _json(value: Any, line: str, dump: Callable[[Any], str]) -> str:
+    """As with an indent of one, but lists of words or numbers, which are long where there are many
+    trials, are a line each."""
     inner = line + " "
     if isinstance(value, dict) and value:
         # json.dumps knows what may be a key.
-        named = ((json.dumps({key: 0})[1:-4], _json(x, inner)) for key, x in value.items())
+        named = ((json.dumps({k: 0})[1:-4], _json(x, inner, dump)) for k, x in value.items())
         return "{" + ",".join(f"{inner}{name}: {text}" for name, text in named) + line + "}"
     if isinstance(value, list | tuple) and any(isinstance(x, dict | list | tuple) for x in value):
-        return "[" + ",".join(inner + _json(x, inner) for x in value) + line + "]"
-    return json.dumps(value, default=str)
+        return "[" + ",".join(inner + _json(x, inner, dump) for x in value) + line + "]"
+    return dump(value)

@@ -34,7 +34,7 @@ from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.pipeline.pose_filter import estimated, start_estimate
-from mjx_grasp.pipeline.pressing import force_of_plan, preloaded
+from mjx_grasp.pipeline.pressing import budget_for, force_of_plan, preloaded
 from mjx_grasp.pipeline.servo import Servos, follow_velocity, joint_servos
 from mjx_grasp.pipeline.state import (
     ClosingMemory,
@@ -335,7 +335,7 @@ class Grasper:
         action = jnp.where(fresh, 0.0, before.action)
         first = self._first_stack(closer, measured, points, action)
         stack = jnp.where(fresh, first, pushed(before.stack, first[-1]))
-        action = self._action(closer, stack)
+        action = self._action(closer, stack, known)
         closer, target = self.closer.act(closer, measured, points, action)
 
         in_palm = turned_back(measured.palm_mat, seen.p_wo - measured.palm_pos)
@@ -424,11 +424,14 @@ class Grasper:
         step = observed_step(self.closer, closer, measured, points, action, seen)
         return first_stack(step, seen)
 
-    def _action(self, closer: CloserState, stack: Float[Array, "s d"]) -> Float[Array, " a"]:
+    def _action(
+        self, closer: CloserState, stack: Float[Array, "s d"], known: Known
+    ) -> Float[Array, " a"]:
         if self.policy is None:
             return jnp.zeros(self.closer.action_size)
         seen = self.policy.observation
-        budget = told(jnp.float32(self.policy.budget), closer, self.dt, seen.keeping)
+        given = budget_for(known.weight, self.policy.budget, self.config)
+        budget = told(given, closer, self.dt, seen.keeping)
         return jnp.clip(self.policy.answer(observation(stack, budget, seen)), -1, 1)
 
 

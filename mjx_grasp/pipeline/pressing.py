@@ -57,6 +57,21 @@ def force_of_plan(
     return jnp.clip(thumb / share, grip.force, most)
 
 
+def budget_for(weight: Float[Array, ""], budget: float, config: GrasperConfig) -> Float[Array, ""]:
+    """Mean force per finger that a policy may take for an object [N].
+
+    B = min(B₀, max(least, k·W)); B₀ where the weight is not known.
+
+    Args:
+        weight: W, 0 where it is not known [N].
+        budget: B₀, for any object [N].
+        config: k and the least.
+    """
+    enough = jnp.maximum(config.lightest, config.heavier * weight)
+    bounded = (weight > 0) & (config.heavier > 0)
+    return jnp.where(bounded, jnp.minimum(budget, enough), budget)
+
+
 def preloaded(
     closer: CloserState,
     contacts: Float[Array, "f 3"],

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import mujoco
+import numpy as np
 import tyro
 import yaml
 
@@ -58,7 +59,7 @@ class FingerSpec(Settings):
     tip_body: Name
     """the distal link"""
     tip_geom: Name
-    """its only geom, which contact sensors watch"""
+    """the only one there that touches, which contact sensors watch"""
     tip_site: Name
     """the tip frame, in which all tip errors are measured"""
     pad_site: Name
@@ -72,6 +73,7 @@ class HandSpec(Settings):
     name: Name
     palm_body: Name
     palm_site: Name
+    """in its frame"""
     fingers: tuple[FingerSpec, ...]
     """the thumb, then the two wraps"""
     joints: Names
@@ -311,6 +313,7 @@ def _check_against_model(spec: RobotSpec, path: Path) -> None:
         _check_servo(model, name, path)
     check("body", spec.hand.palm_body, "hand.palm_body")
     check("site", spec.hand.palm_site, "hand.palm_site")
+    _check_palm(model, spec.hand, path)
     for i, finger in enumerate(spec.hand.fingers):
         field = f"hand.fingers[{i}]"
         for body in finger.bodies:
@@ -327,8 +330,47 @@ def _check_against_model(spec: RobotSpec, path: Path) -> None:
             if body != tip:
                 found = f"{getattr(finger, kind)} on {model.body(body).name}"
                 raise InputError(f"{path}: {field}.{kind}", found, f"one on {finger.tip_body}")
+        _check_finger(model, finger, spec.hand.palm_body, f"{path}: {field}")
     _check_posture(model, spec.arm.joints, spec.arm.home, f"{path}: arm.home")
     _check_posture(model, spec.hand.joints, spec.hand.open_posture, f"{path}: hand.open_posture")
+
+
+def _check_palm(model: mujoco.MjModel, hand: HandSpec, path: Path) -> None:
+    """The palm's site is the palm body's frame, in which the description has its axes."""
+    site, field = model.site(hand.palm_site), f"{path}: hand.palm_site"
+    if site.bodyid[0] != model.body(hand.palm_body).id:
+        found = f"{hand.palm_site} on {model.body(site.bodyid[0]).name}"
+        raise InputError(field, found, f"one on {hand.palm_body}")
+    if np.any(site.pos) or abs(site.quat[0]) < 1.0 - 1e-9:
+        found = f"pos {site.pos.tolist()}, quat {site.quat.tolist()}"
+        raise InputError(field, found, f"the frame of {hand.palm_body}")
+
+
+def _check_finger(model: mujoco.MjModel, finger: FingerSpec, palm: str, field: str) -> None:
+    """Its links are one beyond the other from the palm on, its joints move them, its tip feels."""
+    before = palm
+    for name in finger.bodies:
+        body, above = model.body(name).id, []
+        while body:
+            body = int(model.body_parentid[body])
+            above.append(model.body(body).name)
+        if before not in above:
+            raise InputError(f"{field}.bodies", name, f"a link beyond {before}")
+        before = name
+    for name in finger.joints:
+        moved = model.body(model.joint(name).bodyid[0]).name
+        if moved not in finger.bodies:
+            expected = f"a joint of {', '.join(finger.bodies)}"
+            raise InputError(f"{field}.joints", f"{name} of {moved}", expected)
+    tip = model.body(finger.tip_body)
+    geoms = range(tip.geomadr[0], tip.geomadr[0] + tip.geomnum[0])
+    touching = [model.geom(k) for k in geoms if model.geom_contype[k] or model.geom_conaffinity[k]]
+    if [geom.id for geom in touching] != [model.geom(finger.tip_geom).id]:
+        found = ", ".join(geom.name or f"geom {geom.id}" for geom in touching) or "none"
+        expected = f"{finger.tip_geom} alone, as contacts are felt with it"
+        raise InputError(
+            f"{field}.tip_geom", f"{found} to touch with on {finger.tip_body}", expected
+        )
 
 
 def _check_servo(model: mujoco.MjModel, name: str, path: Path) -> None:

@@ -161,6 +161,41 @@ def test_actuators_that_are_no_servos_of_their_joints_and_slides_are_refused(
         load_robot(path)
 
 
+@pytest.mark.parametrize(
+    ("file", "found", "instead", "says"),
+    [
+        ("xml", '<site name="palm_centre"/>', '<site name="palm_centre" pos="0 0 0.02"/>',
+         r"hand\.palm_site: found 'pos \[0\.0, 0\.0, 0\.02\].*, expected the frame of palm"),
+        ("xml", '<site name="palm_centre"/>', '<site name="palm_centre" euler="0 0 90"/>',
+         r"hand\.palm_site: found 'pos .* quat .*, expected the frame of palm"),
+        ("yaml", "palm_site: palm_centre", "palm_site: thumb_tip",
+         r"hand\.palm_site: found 'thumb_tip on thumb_outer', expected one on palm"),
+        ("yaml", "[thumb_root, thumb_inner, thumb_outer]", "[left_root, thumb_inner, thumb_outer]",
+         r"hand\.fingers\[0\]\.bodies: found 'thumb_inner', expected a link beyond left_root"),
+        ("yaml", "[thumb_root, thumb_inner, thumb_outer]", "[thumb_inner, thumb_root, thumb_outer]",
+         r"hand\.fingers\[0\]\.bodies: found 'thumb_root', expected a link beyond thumb_inner"),
+        ("yaml", "[thumb_root, thumb_inner, thumb_outer]", "[thumb_inner, thumb_outer]",
+         r"hand\.fingers\[0\]\.joints: found 'thumb_spread of thumb_root', expected a joint of"),
+        ("xml", '<geom name="thumb_end"', '<geom size="0.01"/><geom name="thumb_end"',
+         r"hand\.fingers\[0\]\.tip_geom: found 'geom \d+, thumb_end to touch with on thumb_outer'"),
+    ],
+)  # fmt: skip
+def test_a_hand_that_is_not_as_it_is_described_is_refused(tmp_path, file, found, instead, says):
+    path = write_six_axis(tmp_path)
+    changed = tmp_path / f"six_axis.{file}"
+    assert found in changed.read_text()
+    changed.write_text(changed.read_text().replace(found, instead, 1))
+    with pytest.raises(InputError, match=says):
+        load_robot(path)
+
+
+def test_what_touches_nothing_may_be_beside_the_geom_of_a_tip(tmp_path):
+    path, end = write_six_axis(tmp_path), '<geom name="thumb_end"'
+    drawn = f'<geom size="0.01" contype="0" conaffinity="0"/>{end}'
+    (tmp_path / "six_axis.xml").write_text(MJCF.replace(end, drawn, 1))
+    assert load_robot(path).hand.fingers[0].tip_geom == "thumb_end"
+
+
 def test_a_key_that_stands_twice_in_a_description_is_refused(tmp_path):
     path = write_six_axis(tmp_path)
     path.write_text(path.read_text() + "\nname: other\n")

@@ -166,9 +166,9 @@ def steer_contacts(
     distances of thumb and wrap contacts from the box of a part, 0 inside: on the part its physical
     quality alone decides. D* is that of the candidate with the highest product: the best one keeps
     its own quality, so that scores are not all next to 0 where nothing is near, as they are around
-    thin or far parts; those that are nearer, but worse, may score more than their own. Where the
-    factor would fall below 1e-9 it becomes ``1e-9/(1 − ln of the product's ratio)``, so that of two
-    distant candidates the nearer one is still preferred.
+    thin or far parts; those that are nearer, but worse, may score more than their own. The
+    factor is never less than ``1e-9/(1 − ln of the product's ratio)``, so that of two distant
+    candidates the nearer one is still preferred.
 
     Args:
         heatmap: Cached candidates.

@@ -60,11 +60,11 @@ def force_of_plan(
 def budget_for(weight: Float[Array, ""], budget: float, config: GrasperConfig) -> Float[Array, ""]:
     """Mean force per finger that a policy may take for an object [N].
 
-    B = min(B₀, max(least, k·W)); B₀ where the weight is not known.
+    min(B, max(least, k·W)); B where the weight is not known.
 
     Args:
         weight: W, 0 where it is not known [N].
-        budget: B₀, for any object [N].
+        budget: B, for any object [N].
         config: k and the least.
     """
     enough = jnp.maximum(config.lightest, config.heavier * weight)

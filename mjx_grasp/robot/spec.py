@@ -1,7 +1,7 @@
-"""What the package knows of a robot: which joints, bodies and sites play which part.
+"""`python -m mjx_grasp.robot.spec`: which joints, bodies and sites of a robot play which part.
 
-Another hand or arm is another description file; ``python -m mjx_grasp.robot.spec my_robot.yaml``
-checks one and prints what it understood.
+Another hand or arm is another description file; the command checks one and prints what it
+understood.
 """
 
 from __future__ import annotations

@@ -32,9 +32,12 @@ from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.provenance import usable_cores
 from mjx_grasp.tasks.assemble import Engine, TaskConfig, World
-from mjx_grasp.tasks.config import MAX_ANGLE_RAD, StartNoise
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, RewardConfig, StartNoise
 from mjx_grasp.tasks.success import FAILURES
 from mjx_grasp.tasks.task import Task
+
+_UNPAID = RewardConfig(reach=0.0)
+"""One that no task refuses."""
 
 
 def chosen_states(
@@ -79,7 +82,7 @@ def evaluate(
     own = deployed_task(policy, config.keeping_gain) if policy else None
     task = own or model_based(task or TaskConfig(), config)
     # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
-    task = replace(task, reward=type(task.reward)())
+    task = replace(task, reward=_UNPAID)
     # Native MuJoCo steps the worlds of one object in threads; a GPU takes all that have room.
     most = config.worlds or WORLDS[config.engine]
     together = max(1, most // config.episodes) if config.engine == "mjx" else 1

@@ -73,7 +73,8 @@ def paired_draws(
         objects: Their indices in the scene.
         episodes: Of each object.
         noise: What is drawn.
-        seed: Of the draws. Those of an object do not depend on which others there are.
+        seed: Of the draws. Those of an object are the same from the same states in the same place
+            among the scene's objects.
 
     Raises:
         InputError: The table has no start of an object.

@@ -55,6 +55,7 @@ def arriving(
     if sent:
         sent = (*sent, command)
         delay = jnp.round(draw.latency / control_dt).astype(jnp.int32)
+        delay = jnp.minimum(delay, len(sent) - 1)  # halves may be rounded up here alone
         command = jnp.stack(sent)[len(sent) - 1 - delay, jnp.arange(len(command))]
         sent = sent[1:]
     fingers = joints.at.fingers

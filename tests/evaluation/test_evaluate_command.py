@@ -19,7 +19,7 @@ from mjx_grasp.evaluation.run import chosen_states
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M
+from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, EndToEndConfig, RewardConfig
 
 
 def evaluate(config):
@@ -178,6 +178,26 @@ def test_the_shipped_policy_is_evaluated_and_named():
         name: hashlib.sha256(path.read_bytes()).hexdigest()
         for name, path in (("policy", policy), ("handoffs", handoffs))
     }
+
+
+@pytest.mark.wrong_types
+def test_a_policy_that_was_helped_near_its_contacts_can_be_judged(monkeypatch):
+    """Its task refuses the reward for guidance, which others have by default."""
+    own = module._loaded(EvaluateConfig(Path("x.json"), "policy", objects=("foam_brick",)))
+    unpaid = RewardConfig(reach=0.0, way_left=3.0)
+    helped = EndToEndConfig(assisted=True, within=0.1, reward=unpaid)
+    asked = []
+
+    def stopped(world, engine, worlds, config, noise):
+        asked.append(config)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "deployed_task", lambda policy, gain: helped)
+    monkeypatch.setattr(run, "_task", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run.evaluate(own.world, own.names, own.config, own.policy, own.states.reached, Console())
+    (task,) = asked
+    assert replace(task, reward=unpaid) == helped
 
 
 def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(monkeypatch):

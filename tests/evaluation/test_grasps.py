@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -61,6 +62,15 @@ def test_nothing_lies_where_the_robot_stands_at_home(robot):
         draw_problem(scene, 2, 0, replace(config, area=there, standing=1.0), objects=[1])
 
 
+class _Breaking(NativePhysics):
+    """The second world's state stops being finite as its object rises."""
+
+    def step(self, state, *rest):
+        after, measured, truth = super().step(state, *rest)
+        rises = (truth.object_pos[:, 2] > 0.08) & (jnp.arange(len(state.qpos)) == 1)
+        return after._replace(qpos=jnp.where(rises[:, None], jnp.nan, after.qpos)), measured, truth
+
+
 @pytest.mark.long
 def test_a_cube_is_lifted_from_home_and_held(cube, robot):
     settings = whole_grasps()
@@ -96,8 +106,18 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot):
         assert max(row.tip_error_mm) < 15 and row.midpoint_mm < 10
         assert 0.5 < row.force_mean_n <= row.force_peak_n
     record = as_record(rows)
-    assert record["all"]["success_percent"] == 100.0
+    assert record["all"]["success_percent"] == 100.0 and record["all"]["broken"] == 0
     assert sum(record["objects"][cube.name][name] for name in OUTCOMES) == 2
+
+    # A world that breaks while it lifts ends there, with numbers, and the others do not notice.
+    physics = _Breaking(build_scene([cube], robot), grasper.dt)
+    both = jax.tree.map(lambda x: x[:2], (known, problem))
+    end, trace = grasp_all(grasper, library, physics, *both)
+    assert end.broken.tolist() == [False, True] and np.isfinite(trace.qpos).all()
+    first, second = grasp_rows([cube.name], both[1], end, trace, grasper.dt)
+    assert first.outcome == "success" and not first.broken
+    assert second.broken and second.outcome == "never_lifted" and 0.02 < second.peak_rise_m < 0.06
+    assert as_record([first, second])["all"]["broken"] == 1
 
 
 def test_what_acts_on_trials_has_headings_all_around_as_drawn(cube, robot):

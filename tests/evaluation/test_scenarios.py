@@ -272,7 +272,10 @@ def test_a_trial_is_over_once_it_has_ended_and_had_its_time():
     entered = np.full((len(cases), len(Phase)), np.nan)
     entered[:, Phase.HOLDING] = top
     state = SimpleNamespace(phase=phase, clock=clock, entered=entered)
-    np.testing.assert_array_equal(rollout._over(state, 1.0), over)
+    whole = SimpleNamespace(grasp=state, broken=np.zeros(len(cases), bool))
+    np.testing.assert_array_equal(rollout._over(whole, 1.0), over)
+    whole.broken[2] = True
+    assert rollout._over(whole, 1.0)[2], "and what is broken is over at once"
 
 
 @pytest.mark.wrong_types
@@ -294,8 +297,9 @@ def test_the_force_is_that_of_lift_and_hold_not_of_reaching_anew():
 
 
 def row_of(
-    rise, hit=False, success=True, failure=Failure.NONE, force=None, over=None, lost=slice(0)
-):
+    rise, hit=False, success=True, failure=Failure.NONE, force=None, over=None, lost=slice(0),
+    broken=False,
+):  # fmt: skip
     ticks = len(rise)
     force = np.ones((ticks, 1, 3)) if force is None else force
     over = np.zeros((ticks, 1), bool) if over is None else over
@@ -305,7 +309,8 @@ def row_of(
     handoff = SimpleNamespace(error=np.zeros((1, 3)), midpoint=np.zeros(1))
     state = SimpleNamespace(failure=np.array([failure]), handoff=handoff, returns=np.array([0]))
     progress = initial_progress((1,))._replace(success=jnp.array([success]))
-    end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]))
+    incidents = np.array([broken]), np.array([3])
+    end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]), *incidents)
     trace = SimpleNamespace(phase=phase, force=force, rise=np.array(rise)[:, None], over=over)
     problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((1, 2)))
     return grasp_rows(["box"], problem, end, trace, DT)[0]
@@ -320,6 +325,8 @@ def test_what_falls_before_its_trial_ends_is_not_held():
     assert row_of(again).outcome == "success" and row_of(again).up_at_9s
     assert row_of(up, success=False).outcome != "success"
     assert row_of(up, hit=True).outcome == "hit"
+    broken = row_of(up, broken=True)
+    assert (broken.outcome, broken.broken, broken.overflow_ticks) == ("not_held", True, 3)
     row = row_of(up)
     assert (row.handoff_s, row.lift_s) == (0.5, 0.6)
 
@@ -449,6 +456,8 @@ def test_the_included_policy_closes_unless_something_else_is_named():
     assert closing_policy("grip", None, robot) is None
     with pytest.raises(InputError, match=r"own\.npz.*none beside --controller grip"):
         ScenariosConfig(controller="grip", policy=file, out=Path("out.json"))
+    with pytest.raises(InputError, match=r"--force-budget: found 4.0, expected none beside"):
+        ScenariosConfig(controller="grip", force_budget=4.0, out=Path("out.json"))
 
 
 def test_a_robot_without_a_policy_is_told_what_to_do():

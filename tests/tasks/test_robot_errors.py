@@ -20,7 +20,7 @@ from mjx_grasp.tasks.config import (
     StartNoise,
 )
 from mjx_grasp.tasks.observation import policy_sizes
-from mjx_grasp.tasks.robot_errors import RobotDraw, arriving, as_sensed
+from mjx_grasp.tasks.robot_errors import RobotDraw, arriving, as_sensed, longest_delay
 from mjx_grasp.tasks.starts import balanced_weights, draw_starts
 
 WORLDS, DT = 5, 0.01
@@ -55,6 +55,15 @@ def test_an_exact_robot_does_as_it_is_told(joints, measured):
     assert as_sensed(measured, robots(), jnp.zeros(WORLDS, jnp.int32), joints, RobotErrors()) is (
         measured
     )
+
+
+@pytest.mark.parametrize("latency", [0.005, 0.02, 0.045, 0.165])
+def test_a_latency_that_all_have_is_one_wherever_halves_are_rounded_to(joints, measured, latency):
+    delay = longest_delay(RobotErrors(latency_s=(latency, latency)), DT)
+    sent, draw = (measured.q,) * delay, robots(latency=jnp.full(WORLDS, latency))
+    for t in range(delay + 2):
+        got, sent = arriving(measured.q + t + 1, sent, draw, measured, joints, DT)
+        np.testing.assert_allclose(got - measured.q, max(t + 1 - delay, 0), atol=1e-5)
 
 
 def test_commands_arrive_late(joints, measured):

@@ -96,6 +96,12 @@ def test_an_instruction_and_a_point_are_one_too_many():
         DemoConfig(instruction="by the cap", anchor=(0.0, 0.0, 0.0))
     with pytest.raises(InputError, match=r"--policy.*none beside --controller grip"):
         DemoConfig(controller="grip", policy=Path("policy.npz"))
+    with pytest.raises(InputError, match=r"--force-budget.*none beside --controller grip"):
+        DemoConfig(controller="grip", force_budget=4.0)
+    for alone in ({"sigma": 0.01}, {"steering": "axis"}):
+        with pytest.raises(InputError, match="no place to steer to"):
+            DemoConfig(**alone)
+        assert DemoConfig(instruction="by the cap", **alone).steers
     assert not DemoConfig().steers and DemoConfig(instruction="by the cap").steers
 
 

@@ -162,7 +162,7 @@ def push_wrench(given: Circumstances, held: Float[Array, " w"]) -> Float[Array, 
 
     Args:
         given: Of the trials.
-        held: Time since the end of the lift, NaN before [s].
+        held: Time since the end of the lift, NaN where it is not held [s].
     """
     push = given.push
     acts = (held >= push.after_s) & (held < push.after_s + push.lasts_s)

@@ -14,18 +14,21 @@ from mjx_grasp.records.spread import Spread
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
 BUDGET_N = 8.0
-"""Force budget of whole grasps by default, among those of the shipped policy's training; light
-objects take a part of it [N]."""
+"""Force budget of whole grasps by default, among those of the shipped policy's training [N]."""
 
 
-def check_closing(controller: ClosingController, policy: Path | None) -> None:
-    """Refuses a policy beside the grip alone.
+def check_closing(
+    controller: ClosingController, policy: Path | None, budget: float = BUDGET_N
+) -> None:
+    """Refuses what is a policy's beside the grip alone.
 
     Raises:
-        InputError: There is one.
+        InputError: There is a policy, or a force budget.
     """
     if controller == "grip" and policy is not None:
         raise InputError("--policy", policy, "none beside --controller grip")
+    if controller == "grip" and budget != BUDGET_N:
+        raise InputError("--force-budget", budget, "none beside --controller grip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +45,8 @@ class GraspsConfig(ObjectsConfig):
     policy: Path | None = None
     """policy file; the shipped one by default"""
     force_budget: Positive = BUDGET_N
-    """mean force per finger that a policy which knows a budget may take [N]"""
+    """mean force per finger that a policy which knows a budget may take; light objects get less of
+    it, as far as their weight is known [N]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
 
@@ -58,4 +62,4 @@ class ScenariosConfig(GraspsConfig, Spread):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_closing(self.controller, self.policy)
+        check_closing(self.controller, self.policy, self.force_budget)

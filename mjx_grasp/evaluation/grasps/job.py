@@ -145,8 +145,19 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
             done[name] = about[name] | joined(found)
             ordered = {name: done[name] for name in scenarios if name in done}
             write_json(config.out, header | {"scenarios": ordered, "provenance": made})
+            _warn(name, done[name]["all"], console)
     journal.close()
     return {"config": header["config"], "scenarios": {name: done[name] for name in scenarios}}
+
+
+def _warn(name: str, summed: dict[str, Any], console: Console) -> None:
+    """Says which trials cannot be trusted: contacts were left out, or the numbers were none."""
+    if summed["overflows"]:
+        ticks = f"{summed['overflows']} ticks with more contacts than buffers hold"
+        console.print(f"[yellow]{name}: {ticks}; some were left out[/yellow]")
+    if summed["broken"]:
+        which = f"{summed['broken']} of {summed['trials']} worlds broken"
+        console.print(f"[yellow]{name}: {which}; their states stopped being finite[/yellow]")
 
 
 def _before(

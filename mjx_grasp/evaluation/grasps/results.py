@@ -19,7 +19,8 @@ from mjx_grasp.tasks.success import failure_classes
 
 OUTCOMES = ("success", "not_reached", "never_lifted", "slipped", "not_held", "hit")
 """Of a trial, exclusive; beside the classes of the closing task's judge, what never closed and what
-touched an obstacle. What was held but is given up, or not up at its trial's end, is not held."""
+touched an obstacle. What was held but is given up, broken, or not up at its trial's end, is not
+held."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,10 @@ class GraspRow:
     """times that closing was left for reaching"""
     replans: int
     """times that new plans were made"""
+    broken: bool
+    """whether the simulation's state stopped being finite; nothing counts as held then"""
+    overflow_ticks: int
+    """in which a contact or constraint did not fit the simulation's buffers"""
 
 
 def grasp_rows(
@@ -81,7 +86,8 @@ def grasp_rows(
         outcome = next((name for name, flags in classes.items() if flags[w]), "success")
         failure = Failure(int(end.state.failure[w]))
         # After a trial's end all stays as it was.
-        if outcome == "success" and (failure != Failure.NONE or not lifted[-1, w]):
+        given_up = failure != Failure.NONE or end.broken[w]
+        if outcome == "success" and (given_up or not lifted[-1, w]):
             outcome = "not_held"
         if outcome == "never_lifted" and not closed:
             outcome = "not_reached"
@@ -109,6 +115,8 @@ def grasp_rows(
                 peak_rise_m=round(float(end.progress.peak_rise[w]), 4),
                 returns=int(end.state.returns[w]),
                 replans=int(end.replans[w]),
+                broken=bool(end.broken[w]),
+                overflow_ticks=int(end.overflow_ticks[w]),
             )
         )
     return rows
@@ -123,6 +131,8 @@ def summed(rows: Sequence[GraspRow]) -> dict[str, Any]:
         **{outcome: sum(row.outcome == outcome for row in rows) for outcome in OUTCOMES},
         "success_percent": round(100.0 * len(held) / n, 1),
         "up_at_9s": sum(row.up_at_9s for row in rows),
+        "broken": sum(row.broken for row in rows),
+        "overflows": sum(row.overflow_ticks for row in rows),
         "ci95": [round(x, 1) for x in wilson_interval(len(held), n)],
         "handoff_s": _mean([row.handoff_s for row in rows]),
         "lift_s": _mean([row.lift_s for row in held]),

@@ -96,6 +96,10 @@ class GraspEnd(NamedTuple):
     """that hung in the way: centre and radius [m]"""
     hit: Bool[np.ndarray, " w"]
     """whether the robot touched one of them"""
+    broken: Bool[np.ndarray, " w"]
+    """whether its state stopped being finite; it ended with the tick before"""
+    overflow_ticks: Int[np.ndarray, " w"]
+    """in which a contact or constraint did not fit the engine's buffers"""
 
 
 class _Carry(NamedTuple):
@@ -114,6 +118,8 @@ class _Carry(NamedTuple):
     reference: Float[Array, "w 3"]
     """object origin in the palm frame, followed until lift onset and then kept [m]"""
     progress: Progress
+    broken: Bool[Array, " w"]
+    overflow_ticks: Int[Array, " w"]
 
 
 class _Control(NamedTuple):
@@ -195,6 +201,8 @@ def grasp_all(
         key=noise,
         reference=in_palm(measured, truth),
         progress=initial_progress((worlds,)),
+        broken=jnp.zeros(worlds, bool),
+        overflow_ticks=jnp.zeros(worlds, jnp.int32),
     )
     about = jnp.asarray(order), jnp.asarray(problem.p_wo[:, 2]), jnp.float32(scenario.hold_s)
     replans, ticks = np.zeros(worlds, int), []
@@ -207,7 +215,7 @@ def grasp_all(
             ticks.append(tick)
         ticks[-_SEGMENT:] = jax.device_get(ticks[-_SEGMENT:])
         progress(number * _SEGMENT * dt / longest)
-        over = np.asarray(_over(carry.grasp, about[2]))
+        over = np.asarray(_over(carry, about[2]))
         if np.all(over):
             break
         due = np.flatnonzero(carry.due & ~over)
@@ -222,10 +230,11 @@ def grasp_all(
             carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
+    incidents = np.asarray(carry.broken), np.asarray(carry.overflow_ticks)
     trace = jax.tree.map(lambda *leaves: np.stack(leaves), *ticks)
     obstacles = np.asarray(given.obstacles)
     hit = hits(scene.robot, trace.qpos[:, :, at.robot_qpos], obstacles)
-    return GraspEnd(grasp, judged, replans, obstacles, hit), trace
+    return GraspEnd(grasp, judged, replans, obstacles, hit, *incidents), trace
 
 
 @partial(jax.jit, static_argnames="grasper")
@@ -250,8 +259,10 @@ def _controlled(
     velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
     since = grasp.clock - began
     wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
-    wrench += push_wrench(given, grasp.clock - grasp.entered[:, Phase.HOLDING])
-    over = _over(carry.grasp, hold_s)
+    holds = grasp.phase == Phase.HOLDING
+    held = jnp.where(holds, grasp.clock - grasp.entered[:, Phase.HOLDING], jnp.nan)
+    wrench += push_wrench(given, held)
+    over = _over(carry, hold_s)
     return _Control(grasp, done, tracked, began, key, done.target[:, order], wrench, over)
 
 
@@ -283,10 +294,14 @@ def _judged(
     rise = truth.object_pos[:, 2] - base
     judged = update_progress(carry.progress, rise, slip, lifting, success, dt)
     due = carry.due | sent.done.plans_due
+    full = carry.overflow_ticks + truth.overflow
     went_on = _Carry(
-        state, measured, truth, grasp, due, sent.track, sent.belt_began, sent.key, reference, judged
+        state, measured, truth, grasp, due, sent.track, sent.belt_began, sent.key, reference,
+        judged, carry.broken, full,
     )  # fmt: skip
-    after = _where(over, carry, went_on)
+    finite = jnp.isfinite(state.qpos).all(-1) & jnp.isfinite(state.qvel).all(-1)
+    after = _where(over | ~finite, carry, went_on)
+    after = after._replace(broken=carry.broken | (~over & ~finite))
     trace = Trace(
         phase=after.grasp.phase,
         qpos=after.physics.qpos,
@@ -316,11 +331,12 @@ def _seen(tracked: Track, truth: Truth, given: Circumstances) -> Seen:
     )
 
 
-def _over(grasp: GraspState, hold_s: float | Float[Array, ""]) -> Bool[Array, " w"]:
+def _over(carry: _Carry, hold_s: float | Float[Array, ""]) -> Bool[Array, " w"]:
     """Which trials are over: failed, or held for long enough, after the time that each one gets."""
+    grasp = carry.grasp
     held = grasp.clock - grasp.entered[:, Phase.HOLDING] >= hold_s
     ended = (grasp.phase == Phase.FAILED) | ((grasp.phase == Phase.HOLDING) & held)
-    return ended & (grasp.clock >= LEAST_S - 1e-4)
+    return (ended & (grasp.clock >= LEAST_S - 1e-4)) | carry.broken
 
 
 def _where(mask: Bool[Array | np.ndarray, " w"], first: Tree, other: Tree) -> Tree:

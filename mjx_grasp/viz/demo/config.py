@@ -49,16 +49,20 @@ class DemoConfig(CommandSettings):
     policy: Path | None = None
     """policy file; the shipped one by default"""
     force_budget: Positive = BUDGET_N
-    """mean force per finger that a policy which knows a budget may take [N]"""
+    """mean force per finger that a policy which knows a budget may take; light objects get less of
+    it, as far as their weight is known [N]"""
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         Weight(self.mass, self.density)  # refuses both
-        check_closing(self.controller, self.policy)
+        check_closing(self.controller, self.policy, self.force_budget)
         if self.instruction is not None and self.anchor is not None:
             raise InputError("--instruction and --anchor", "both", "one of them at most")
+        if not self.steers and (self.sigma is not None or self.steering != "contacts"):
+            expected = "an --anchor or an --instruction with it"
+            raise InputError("--steering or --sigma", "no place to steer to", expected)
 
     @property
     def steers(self) -> bool:

@@ -32,6 +32,7 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.pipeline.pressing import budget_for
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -139,9 +140,10 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
         result["scenario"] = {"name": name, "description": scenario.description}
         knows_budget = grasper.policy is not None and grasper.policy.observation.budget
+        given = budget_for(scenario.weighed * known[0].weight, budget, grasper.config)
         result["closing"] = {
             "controller": config.controller,
-            "force_budget_n": budget if knows_budget else None,
+            "force_budget_n": round(float(given), 3) if knows_budget else None,
             "sha256": file_digests(policy=file),
         }
         with clock.step("page"):

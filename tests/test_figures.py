@@ -376,7 +376,7 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(
     pose_error, ran = script("pose_error"), []
 
     class Counting:
-        def __init__(self, found, episodes, seed, angle_rad):
+        def __init__(self, found, episodes, seed, engine, angle_rad):
             self.found = found
 
         def rows(self, name, at, noise):

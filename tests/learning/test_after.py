@@ -120,7 +120,7 @@ def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
     config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
     with pytest.raises(Asked) as asked:
         evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
-    own = replace(task, grip=replace(task.grip, force=4.0), reward=RewardConfig())
+    own = replace(task, grip=replace(task.grip, force=4.0), reward=RewardConfig(reach=0.0))
     assert asked.value.args == (own, config.noise)
 
 
@@ -135,7 +135,7 @@ def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
     for config, expected in ((squeeze, plain), (grip, grip.grip)):
         with pytest.raises(Asked) as asked:
             evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
-        own = replace(task, grip=expected, reward=RewardConfig())
+        own = replace(task, grip=expected, reward=RewardConfig(reach=0.0))
         assert asked.value.args == (own, config.noise)
 
 

@@ -284,6 +284,27 @@ def grasps_by_split(path: Path) -> str:
     return f"{whole_grasps(path)}\n\n" + "\n".join(lines)
 
 
+def grasps_made_later(path: Path, before: Path) -> str:
+    """Grasps from home of some objects, and the sum over all of training with them.
+
+    Args:
+        path: Of some of the objects.
+        before: Of all, as many trials of each; those of the others count.
+    """
+    later, every = read(path), read(before)
+    if later is None or every is None:
+        return NOTHING
+    new, old = (record["scenarios"][NOMINAL]["rows"] for record in (later, every))
+    again = {row["object"] for row in new}
+    rows = [*new, *(row for row in old if row["object"] not in again)]
+    trained = [row for row in rows if row["object"] in groups()["train"]]
+    held = [row for row in trained if row["outcome"] == "success"]
+    return (
+        f"{whole_grasps(path)}\n\nWith the other objects of training as they were: "
+        f"{_share(held, trained)} of {len(trained)} lifted and held."
+    )
+
+
 def _refused(row: dict[str, Any]) -> bool:
     """Whether a trial ended for want of a way; one lost after the lift may find none either."""
     return row["outcome"] == "not_reached" and row["failure"] == _NO_WAY

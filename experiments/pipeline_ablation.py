@@ -93,7 +93,12 @@ VARIANTS = {
     FULL: Variant("the full system"),
     "observer-alone": Variant("no touch flags, the observer alone", scenario={"told": False}),
     "weight-unknown": Variant(
-        "the grip does not begin with the force for the known weight", scenario={"weighed": False}
+        "the grip does not begin with the force for the known weight, nor has the policy less of "
+        "its budget for light objects",
+        scenario={"weighed": False},
+    ),
+    "budgets-alike": Variant(
+        "the policy has the same budget for light objects", {"grasper.budget_per_weight": 0.0}
     ),
     "walls-alike": Variant(
         "thin walls are gripped no harder than all else", {"grasper.across_walls": 0.0}

@@ -54,10 +54,10 @@ class GrasperConfig(Settings):
     across_walls: NonNegative = 1.4
     """times the force by the known weight with which a thin wall is gripped at least once the lift
     is due, whatever a policy says: with less the object turns before it is felt [-]"""
-    heavier: NonNegative = 4.0
+    budget_per_weight: NonNegative = 4.0
     """times the known weight that the force budget of a policy is at most: what is light and
     pressed hard creeps out of the fingers while it is held; 0: all weights have the same [-]"""
-    lightest: Positive = 2.0
+    least_budget: Positive = 2.0
     """force budget that is left to it for the lightest objects [N]"""
     timeout_s: Positive = 30.0
     """from the start to the end of the lift [s]"""

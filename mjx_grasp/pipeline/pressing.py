@@ -67,8 +67,8 @@ def budget_for(weight: Float[Array, ""], budget: float, config: GrasperConfig) -
         budget: B, for any object [N].
         config: k and the least.
     """
-    enough = jnp.maximum(config.lightest, config.heavier * weight)
-    bounded = (weight > 0) & (config.heavier > 0)
+    enough = jnp.maximum(config.least_budget, config.budget_per_weight * weight)
+    bounded = (weight > 0) & (config.budget_per_weight > 0)
     return jnp.where(bounded, jnp.minimum(budget, enough), budget)
 
 

@@ -52,8 +52,8 @@ def site(tmp_path_factory):
     return {path.relative_to(out): Page(path) for path in out.rglob("*.html")}, out
 
 
-@pytest.mark.long
 def test_links_lead_somewhere_and_nothing_is_loaded_from_elsewhere(site):
+    """Of the site as it is built, without a warning."""
     pages, out = site
     for path, page in pages.items():
         outside = {link for link in page.loads if urlsplit(link).netloc}

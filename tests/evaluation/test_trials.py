@@ -9,6 +9,8 @@ from jax.tree_util import Partial
 import mjx_grasp.evaluation.trials as module
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
+    Trials,
+    by_object,
     incidents,
     paired_draws,
     record_trials,
@@ -121,3 +123,14 @@ def test_world_that_broke_or_overflowed_is_told_of_however_it_is_run(scene, star
         np.testing.assert_array_equal(trials.broken, [False, True])
         np.testing.assert_array_equal(trials.overflow_ticks, [2, 0])
         assert incidents([trials, trials]) == {"overflows": 4, "broken_worlds": 2}
+
+
+def test_draws_of_several_objects_are_those_of_each_and_their_trials_come_apart_again(starts):
+    both, *alone = (paired_draws(starts, of, 4, NOISE, seed=5) for of in ([2, 0], [2], [0]))
+    for k, own in enumerate(alone):
+        for joined, one in zip(jax.tree.leaves(both), jax.tree.leaves(own), strict=True):
+            np.testing.assert_array_equal(joined[4 * k : 4 * k + 4], one)
+    ran = Trials(*[np.asarray(both.row)] * len(Trials._fields))
+    for own, apart in zip(alone, by_object(ran, 2), strict=True):
+        np.testing.assert_array_equal(apart.row, own.row)
+        np.testing.assert_array_equal(apart.force_mean, own.row)

@@ -310,6 +310,27 @@ def test_a_policy_that_knows_more_stands_beside_one_trained_alike_with_the_same_
     ]
 
 
+def test_the_same_trials_in_both_engines_stand_side_by_side(tmp_path):
+    def row(engine, outcomes, forces):
+        lifted = outcomes.count("S")
+        found = {"episodes": 4, "never_lifted": 4 - lifted, "ci95": wilson_interval(lifted, 4)}
+        found |= {"outcomes": outcomes, "forces_n": forces, "starts": (0, 1, 2, 3)}
+        return replace(result("apple", lifted, 5.0), **found, engine=engine)
+
+    native, mjx = tmp_path / "native.json", tmp_path / "mjx.json"
+    table = make_readme.closing_tables.engines_agree
+    given = PROVENANCE, FIRST_ROBOT
+    write_results(native, [row("mujoco", "SSLL", (1.0, 2.0, 3.0, 2.0))], *given)
+    assert table([native, mjx]) == make_readme.closing_tables.NOTHING
+    write_results(mjx, [row("mjx", "SLSS", (2.0, 2.0, 4.0, 4.0))], *given)
+    said, *_, line = (x for x in table([native, mjx]).splitlines() if x and "details" not in x)
+    assert said.startswith("Success differs by +25.0 to +25.0 points, +25.00 in the mean of 1")
+    assert "25.0 to 25.0 % of their trials have the same outcome" in said
+    _, _, native_percent, mjx_percent, _, same, *forces = values(line)
+    assert [native_percent, mjx_percent, same] == ["50.0", "75.0", "25.0"]
+    assert forces == ["2.00", "3.00"]
+
+
 def test_a_policy_that_is_held_to_its_budget_stands_beside_itself(tmp_path):
     def row(outcomes, forces, **settings):
         lifted = outcomes.count("S")

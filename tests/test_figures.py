@@ -1,6 +1,5 @@
 """The scripts of figures and tables, each on few stand-ins."""
 
-import importlib.util
 import json
 import sys
 from dataclasses import replace
@@ -12,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from loaded import script
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
@@ -24,14 +24,6 @@ from mjx_grasp.training.config import settings_of
 
 ROOT = Path(__file__).resolve().parent.parent
 IDENTITY = np.float32([1.0, 0.0, 0.0, 0.0])
-
-
-def script(name, folder="experiments"):
-    spec = importlib.util.spec_from_file_location(name, ROOT / folder / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_the_sheet_of_heatmaps(tmp_path, monkeypatch):

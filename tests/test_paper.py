@@ -1,28 +1,19 @@
 """`experiments/paper.py`: parts by name, what counts as done, and what its commands are."""
 
-import importlib.util
 import json
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from loaded import script
 from rich.console import Console
 
 from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.records.spread import Spread
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def script(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "experiments" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture

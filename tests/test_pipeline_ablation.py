@@ -1,6 +1,5 @@
 """Whole grasps without one part of the method each: the variants, the script, its table."""
 
-import importlib.util
 import json
 import sys
 from dataclasses import replace
@@ -9,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 from grasp_rows import row
+from loaded import script
 from on_cores import run_on_cores
 
 from mjx_grasp.closing.config import CloserConfig, GripConfig
@@ -24,24 +24,16 @@ ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ROOT / "experiments"
 
 
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, EXPERIMENTS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def ablation(monkeypatch):
     monkeypatch.syspath_prepend(EXPERIMENTS)
-    return load("pipeline_ablation")
+    return script("pipeline_ablation")
 
 
 @pytest.fixture
 def tables(monkeypatch):
     monkeypatch.syspath_prepend(EXPERIMENTS)
-    return load("pipeline_tables")
+    return script("pipeline_tables")
 
 
 def leaves(record, path=""):

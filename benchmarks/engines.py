@@ -30,8 +30,9 @@ from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Several
 from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.engines import Engine
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world
 from mjx_grasp.tasks.closing import ClosingState, ClosingTask
 
 SCHEMA = "mjx_grasp.engines/1"

@@ -44,11 +44,10 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.sim.native import NativePhysics, at_rest
+from mjx_grasp.sim.engines import Engine, make_physics
+from mjx_grasp.sim.native import at_rest
 from mjx_grasp.sim.physics import Physics, Truth, WorldParams, make_params
 from mjx_grasp.sim.scene import SceneConfig, build_scene
-from mjx_grasp.tasks.assemble import Engine
 from mjx_grasp.tasks.config import SuccessConfig
 
 _SEGMENT_S, _REPEATS = 0.5, 3
@@ -104,11 +103,7 @@ def main(config: WorldsBenchmarkConfig) -> None:
         raise InputError("--worlds", config.worlds, f"a multiple of the {len(objects)} objects")
     settings = SceneConfig(physics_dt=config.physics_dt, solver_iterations=config.solver_iterations)
     scene = build_scene(objects, robot, settings)
-    physics: Physics = (
-        MjxPhysics(scene, config.worlds, grasper.dt)
-        if config.engine == "mjx"
-        else NativePhysics(scene, grasper.dt)
-    )
+    physics = make_physics(config.engine, scene, config.worlds, grasper.dt)
     problem = draw_problem(scene, config.worlds // len(objects), config.seed)
     known = known_of(known_objects(objects, robot), problem)
     measurements = _run(config, grasper, physics, known, problem, console)

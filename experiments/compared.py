@@ -38,8 +38,9 @@ from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.sim.engines import Engine
 from mjx_grasp.sim.scene import SceneConfig, build_scene
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, build_world
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.task import Task
 

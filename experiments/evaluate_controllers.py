@@ -52,8 +52,9 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.engines import Engine
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, World, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world
 from mjx_grasp.tasks.config import RobotErrors
 
 CONDITIONS = {

@@ -13,11 +13,8 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, NonNegative, Positive, Range, Seed, Suffix
 from mjx_grasp.records.spread import Spread
-from mjx_grasp.tasks.assemble import Engine
+from mjx_grasp.sim.engines import Engine
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, MAX_OFFSET_M, RobotErrors, StartNoise
-
-WORLDS: dict[Engine, int] = {"mujoco": 256, "mjx": 4096}
-"""Worlds of a batch, as far as there are so many trials."""
 
 
 @dataclass(frozen=True)

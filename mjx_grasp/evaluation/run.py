@@ -14,7 +14,7 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.config import WORLDS, EvaluateConfig
+from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.trials import (
@@ -31,7 +31,8 @@ from mjx_grasp.learning.controller import deployed_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.provenance import usable_cores
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, World
+from mjx_grasp.sim.engines import WORLDS, Engine
+from mjx_grasp.tasks.assemble import TaskConfig, World
 from mjx_grasp.tasks.config import MAX_ANGLE_RAD, RewardConfig, StartNoise
 from mjx_grasp.tasks.success import FAILURES
 from mjx_grasp.tasks.task import Task

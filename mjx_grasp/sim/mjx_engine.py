@@ -31,7 +31,7 @@ from mjx_grasp.sim.physics import (
 from mjx_grasp.sim.scene import ObjectFields, Scene
 
 # Warp's names of what goes in: the state, and the model's fields that differ between worlds;
-_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
+_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied")
 _FIELDS = (*ObjectFields.NAMES, "geom_friction")
 # of what comes out: as the last physics step leaves it, and as each step does.
 _FRAMES = ("site_xpos", "site_xmat", "xaxis", "xanchor")
@@ -84,11 +84,20 @@ class MjxPhysics(Physics):
         self._slides = geom_mask * np.array([[1.0, 0.0, 0.0]], np.float32)
 
     def step(
-        self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
+        self,
+        state: PhysicsState,
+        params: WorldParams,
+        ctrl: Float[Array, "w nu"],
+        wrench: Float[Array, "w 6"] | None = None,
+        awake: Bool[Array, " w"] | None = None,
     ) -> tuple[PhysicsState, Measured, Truth]:
-        """See `Physics.step`."""
+        """See `Physics.step`; worlds that do not go on are stepped all the same."""
         fields = self.world_fields(params)
-        given = state.qpos, state.qvel, state.warmstart, ctrl, *(fields[name] for name in _FIELDS)
+        applied = jnp.zeros((self.num_worlds, self.scene.model.nbody, 6), jnp.float32)
+        if wrench is not None:
+            applied = applied.at[:, self.scene.addresses.object_body].set(wrench)
+        before = state.qpos, state.qvel, state.warmstart, ctrl, applied
+        given = *before, *(fields[name] for name in _FIELDS)
         found = dict(zip((*_LAST, *_EACH), self._tick(*given), strict=True))
         qvel = found["qvel"]  # [substep, w, nv], as all of each step
         residual = inverse_dynamics_residual(

@@ -76,16 +76,7 @@ class NativePhysics(Physics):
         wrench: Float[Array, "w 6"] | None = None,
         awake: Bool[Array, " w"] | None = None,
     ) -> tuple[PhysicsState, Measured, Truth]:
-        """See `Physics.step`.
-
-        Args:
-            state: Before.
-            params: Of the worlds.
-            ctrl: Position commands [rad].
-            wrench: On the object at its centre of mass during the tick, world frame: force [N],
-                torque [N m].
-            awake: Worlds that go on, all by default; what is given of the others is void.
-        """
+        """See `Physics.step`; worlds that do not go on cost nothing."""
         wrench = jnp.zeros((len(ctrl), 6)) if wrench is None else wrench
         worlds = state.qpos.shape[0]
         awake = jnp.ones(worlds, bool) if awake is None else awake

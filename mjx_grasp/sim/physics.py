@@ -102,9 +102,23 @@ class Physics(ABC):
 
     @abstractmethod
     def step(
-        self, state: PhysicsState, params: WorldParams, ctrl: Float[Array, "w nu"]
+        self,
+        state: PhysicsState,
+        params: WorldParams,
+        ctrl: Float[Array, "w nu"],
+        wrench: Float[Array, "w 6"] | None = None,
+        awake: Bool[Array, " w"] | None = None,
     ) -> tuple[PhysicsState, Measured, Truth]:
-        """One control tick with position commands `ctrl` [rad]."""
+        """One control tick.
+
+        Args:
+            state: Before.
+            params: Of the worlds.
+            ctrl: Position commands [rad].
+            wrench: On the object at its centre of mass during the tick, world frame: force [N],
+                torque [N m].
+            awake: Worlds that go on, all by default; what is given of the others is void.
+        """
 
 
 class FingerRows(NamedTuple):

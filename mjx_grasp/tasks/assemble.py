@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import jax
 
@@ -13,9 +12,8 @@ from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.robot.spec import RobotSpec
-from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.sim.native import NativePhysics
-from mjx_grasp.sim.physics import Physics, check_control_rate
+from mjx_grasp.sim.engines import Engine, make_physics
+from mjx_grasp.sim.physics import check_control_rate
 from mjx_grasp.sim.scene import Scene, SceneConfig, build_scene
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig, StartNoise
@@ -23,8 +21,6 @@ from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.tasks.starts import StartTable, build_starts
 from mjx_grasp.tasks.task import Task
-
-Engine = Literal["mjx", "mujoco"]
 
 TaskConfig = ClosingTaskConfig
 """The tasks there are: the closing task, and what derives from its settings."""
@@ -59,11 +55,7 @@ class World:
             with_privileged: Whether observations hold the critic's part.
             extra_terms: Reward terms beside the task's own.
         """
-        physics: Physics = (
-            MjxPhysics(self.scene, worlds, config.control_dt)
-            if engine == "mjx"
-            else NativePhysics(self.scene, config.control_dt)
-        )
+        physics = make_physics(engine, self.scene, worlds, config.control_dt)
         beside = (noise, with_privileged, extra_terms)
         if isinstance(config, EndToEndConfig):
             return EndToEndTask(physics, self.starts, config, *beside)

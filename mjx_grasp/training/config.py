@@ -24,8 +24,9 @@ from mjx_grasp.records.settings import (
     WholeNumber,
     from_record,
 )
+from mjx_grasp.sim.engines import Engine
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import Engine, TaskConfig, has_gpu
+from mjx_grasp.tasks.assemble import TaskConfig, has_gpu
 from mjx_grasp.tasks.config import (
     EndToEndConfig,
     RewardConfig,

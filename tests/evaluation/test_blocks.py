@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from mjx_grasp.evaluation.grasps.blocks import TRIALS, TRIALS_AT_ONCE, blocks_of, joined, parts_of
 from mjx_grasp.evaluation.grasps.results import as_record
+from mjx_grasp.sim.engines import WORLDS
 
 
 @given(episodes=st.integers(1, 500), objects=st.integers(1, 100), seed=st.integers(0, 2**31))
@@ -39,17 +40,21 @@ def test_a_run_is_its_blocks_together_in_a_journal_too():
     assert joined(json.loads(json.dumps(parts))) == {"seconds": 3.0} | every
 
 
-@given(st.integers(1, 500), st.integers(1, 100), st.sampled_from(("cpu", "gpu")))
-def test_parts_are_all_blocks_and_a_gpu_runs_many_at_once(episodes, objects, device):
+@given(
+    *(st.integers(1, most) for most in (500, 100)),
+    *map(st.sampled_from, (("cpu", "gpu"), ("mujoco", "mjx"))),
+)
+def test_parts_are_all_blocks_and_a_gpu_runs_many_at_once(episodes, objects, device, engine):
     blocks = blocks_of(episodes, objects, 0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax, "default_backend", lambda: device)
-        parts = parts_of(blocks, objects)
+        parts = parts_of(blocks, objects, engine)
     assert [block for part in parts for block in part] == blocks
     trials = [objects * sum(block.episodes for block in part) for part in parts]
     if device == "cpu":
         assert all(len(part) == 1 for part in parts)
     else:
-        assert all(n <= max(TRIALS_AT_ONCE, objects) for n in trials)
-        least = TRIALS_AT_ONCE - max(TRIALS, objects)
+        together = WORLDS["mjx"] if engine == "mjx" else TRIALS_AT_ONCE
+        assert all(n <= max(together, objects) for n in trials)
+        least = together - max(TRIALS, objects)
         assert all(n > least for n in trials[:-1]), "no part is smaller than need be"

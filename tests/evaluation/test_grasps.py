@@ -11,6 +11,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, grasp_all
+from mjx_grasp.evaluation.grasps.scenario import PushConfig, Scenario
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import load_object
@@ -19,6 +20,7 @@ from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.sim.collision import CollisionChecker
+from mjx_grasp.sim.engines import make_physics
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import ObjectArea, build_scene
 
@@ -71,12 +73,48 @@ class _Breaking(NativePhysics):
         return after._replace(qpos=jnp.where(rises[:, None], jnp.nan, after.qpos)), measured, truth
 
 
-@pytest.mark.long
-def test_a_cube_is_lifted_from_home_and_held(cube, robot):
+@pytest.fixture(scope="module")
+def planning(robot):
+    """A controller that plans from a small library."""
     settings = whole_grasps()
     plan = replace(settings.plan, library=4000)
     grasper = grasper_of(robot, reaching=replace(settings, plan=plan))
-    library = start_library(grasper.reacher.body, plan)
+    return grasper, start_library(grasper.reacher.body, plan)
+
+
+@pytest.mark.long
+def test_in_mjx_a_cube_is_grasped_as_in_the_native_engine(cube, robot, planning):
+    """The same up to the first touch, and a success then; a push on what is held acts in both."""
+    grasper, library = planning
+    height = cube.resting[0].height
+    problem = GraspProblem(
+        np.array([0, 0]),
+        np.float32([[0.5, 0.1, height], [0.55, -0.15, height]]),
+        np.repeat(np.float32([cube.resting[0].quat]), 2, axis=0),
+        np.zeros((2, 2)),
+    )
+    known, scene = known_of([known_object(cube, robot)], problem), build_scene([cube], robot)
+    strong = Scenario(push=PushConfig(force=40.0, after_s=0.1, lasts_s=0.3), hold_s=0.5)
+    for scenario, success in ((None, True), (strong, False)):
+        ran = [
+            grasp_all(
+                grasper, library, make_physics(engine, scene, 2, grasper.dt), known, problem,
+                scenario,
+            )
+            for engine in ("mujoco", "mjx")
+        ]  # fmt: skip
+        rows = [grasp_rows([cube.name], problem, *each, grasper.dt) for each in ran]
+        touched = ran[0][1].touching.any((1, 2)).argmax()
+        qpos = [trace.qpos[:touched] for _, trace in ran]
+        np.testing.assert_allclose(*qpos, atol=1e-4)
+        for native, warp in zip(*rows, strict=True):
+            assert native.handoff_s == warp.handoff_s and not warp.overflow_ticks
+            assert (native.outcome == "success") == (warp.outcome == "success") == success
+
+
+@pytest.mark.long
+def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
+    grasper, library = planning
     height = cube.resting[0].height
     problem = GraspProblem(
         np.array([0, 0, 0]),

@@ -437,6 +437,14 @@ def test_only_meshes_have_the_weight_that_is_asked_for(robot):
         asked.objects(Scenario())
 
 
+def test_worlds_are_of_the_engine_that_is_asked_for_and_made_once(robot):
+    native, warp = (makers(robot, "rubiks_cube", engine=name) for name in ("mujoco", "mjx"))
+    made = [native.physics(Scenario(), worlds, DT) for worlds in (3, 5)]
+    assert isinstance(made[0], NativePhysics) and made[0] is made[1], "it takes any number"
+    made = [warp.physics(Scenario(), worlds, DT) for worlds in (3, 5, 3)]
+    assert [physics.num_worlds for physics in made] == [3, 5, 3] and made[0] is made[2]
+
+
 def test_own_objects_of_a_scenario_share_its_trials_and_have_one_each(robot):
     def trials(episodes, *own):
         problem = asked.problem(Scenario(objects=own), grasper_of, (Block(0, episodes, 0),))

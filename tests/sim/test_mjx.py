@@ -8,7 +8,7 @@ from scripted import draw_of
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.sim.mjx_engine import MjxPhysics
+from mjx_grasp.sim.mjx_engine import _STATE, MjxPhysics
 from mjx_grasp.sim.physics import finger_dofs, make_params
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.tasks.closing import ClosingTask
@@ -118,12 +118,17 @@ def test_follows_native_over_200_steps_with_contact(runs):
     np.testing.assert_allclose(force[0], force[1], rtol=0.1, atol=0.5)
 
 
-def push(physics, body, axis, forces):
-    """Pushes a body of every world along an axis until told otherwise [N]."""
-    held = physics.on["cpu"].data.xfrc_applied
-    wrenches = held.numpy()
-    wrenches[:, body, axis] = forces
-    held.assign(wrenches)
+def pushed(physics, body, axis, force):
+    """A step in which a body of every world is pushed along an axis [N]."""
+    tick, place = physics._tick, _STATE.index("xfrc_applied")
+
+    def with_push(*given):
+        given = list(given)
+        given[place] = given[place].at[:, body, axis].set(force)
+        return tick(*given)
+
+    physics._tick = with_push
+    return jax.jit(lambda *given: physics.step(*given))  # not what is compiled without it
 
 
 def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
@@ -141,8 +146,7 @@ def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
     # A known force on the index tip: its Jᵀ f comes on top.
     tip = scene.model.body(scene.robot.hand.fingers[1].tip_body).id
     _, free, _ = step(state, params, ramp(scene, starts, 50))
-    push(physics, tip, 1, [1.5] * len(ROWS))
-    _, loaded, _ = step(state, params, ramp(scene, starts, 50))
+    _, loaded, _ = pushed(physics, tip, 1, 1.5)(state, params, ramp(scene, starts, 50))
     import mujoco
 
     data, jac = mujoco.MjData(scene.model), np.zeros((3, scene.model.nv))
@@ -234,12 +238,36 @@ def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, nativ
     # The same upward force lifts the light box and not the heavy one.
     weight = scene.objects[0].mass * 9.81
     lifted = mjx_physics.init(starts.qpos[rows], starts.ctrl[rows])
-    body = scene.addresses.object_body
-    push(mjx_physics, body, 2, [2 * weight] * 3)
-    lifted, _, truth = step(lifted, params, starts.ctrl[rows])
-    push(mjx_physics, body, 2, [0] * 3)
+    wrench = jnp.zeros((3, 6)).at[:, 2].set(2 * weight)
+    lifted, _, truth = step(lifted, params, starts.ctrl[rows], wrench)
     np.testing.assert_allclose(truth.object_vel[:2, 2], 9.81 * 0.01, rtol=0.1)
     assert abs(truth.object_vel[2, 2]) < 0.01
+
+
+def test_a_wrench_acts_on_the_object_as_in_the_native_engine(
+    scene, starts, mjx_physics, step, rest, params, native
+):
+    """A force and a torque at the centre of mass, another one in each world, for this tick alone."""
+    wrench = jnp.asarray(np.random.default_rng(0).normal(size=(3, 6)) * [*[2] * 3, *[0.01] * 3])
+    lifted = scene.addresses.object_qpos[2]
+    states = [
+        physics.init(starts.qpos[ROWS].at[:, lifted].add(0.5), starts.ctrl[ROWS])
+        for physics in (mjx_physics, native)
+    ]
+    moved = []
+    for push in (wrench, None, None):
+        for k, stepped in enumerate((step, native.step)):
+            states[k], _, truth = stepped(states[k], params, starts.ctrl[ROWS], push)
+            moved.append(truth)
+    for found, expected in zip(moved[::2], moved[1::2], strict=True):
+        np.testing.assert_allclose(found.object_vel, expected.object_vel, rtol=2e-3, atol=2e-4)
+        np.testing.assert_allclose(found.object_pos, expected.object_pos, atol=1e-6)
+    first, second, _ = (truth.object_vel for truth in moved[::2])
+    mass = np.array([scene.objects[k].mass for k in params.object_index])
+    free = np.asarray(wrench[:, :3]) / mass[:, None] * 0.01 - [0, 0, 9.81 * 0.01]
+    assert np.abs(first[:, 3:]).max() > 0.1, "turned too"
+    np.testing.assert_allclose(second[:, :3] - first[:, :3], [[0, 0, -9.81 * 0.01]] * 3, atol=0.05)
+    assert np.abs(first[:, :3] - free).max() < 0.05
 
 
 def test_world_fields_are_those_of_a_model_compiled_so(mjx_physics, robot, scene):

@@ -12,12 +12,13 @@ import jax
 import numpy as np
 
 from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
+from mjx_grasp.sim.engines import WORLDS, Engine
 
 TRIALS = 64
 """of a block, about: enough at once to be worth what a batch costs on a CPU"""
 TRIALS_AT_ONCE = 512
-"""of a part on a GPU, about: a tick of few takes it hardly less time, and MuJoCo steps more of them
-far longer than the tick takes; processes can share the parts"""
+"""of a part in native MuJoCo beside a GPU, about: a tick of few takes it hardly less time, and
+MuJoCo steps more of them far longer than the tick takes; processes can share the parts"""
 
 
 class Block(NamedTuple):
@@ -51,16 +52,18 @@ def blocks_of(episodes: int, objects: int, seed: int) -> list[Block]:
     return blocks
 
 
-def parts_of(blocks: Sequence[Block], objects: int) -> list[Part]:
+def parts_of(blocks: Sequence[Block], objects: int, engine: Engine = "mujoco") -> list[Part]:
     """The blocks of a run, a part at a time: each alone on a CPU, many at once on a GPU.
 
     Args:
         blocks: All of them.
         objects: How many objects there are.
+        engine: What steps the physics.
     """
     most = 1
     if jax.default_backend() != "cpu":
-        most = max(1, TRIALS_AT_ONCE // (objects * max(block.episodes for block in blocks)))
+        together = WORLDS["mjx"] if engine == "mjx" else TRIALS_AT_ONCE
+        most = max(1, together // (objects * max(block.episodes for block in blocks)))
     return [tuple(blocks[k : k + most]) for k in range(0, len(blocks), most)]
 
 

@@ -10,6 +10,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 from mjx_grasp.records.spread import Spread
+from mjx_grasp.sim.engines import Engine
 
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
@@ -40,6 +41,8 @@ class GraspsConfig(ObjectsConfig):
     episodes: Count = 8
     """of each object in each scenario; one that names objects of its own has as many trials in all,
     shared among those, at least one of each [-]"""
+    engine: Engine = "mujoco"
+    """what steps the physics: mujoco (native, in threads) or mjx (Warp, on a GPU)"""
     seed: Seed = 0
     """of the poses, the plans and what happens"""
     policy: Path | None = None
@@ -53,7 +56,7 @@ class GraspsConfig(ObjectsConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ScenariosConfig(GraspsConfig, Spread):
-    """Grasps from home in native MuJoCo, while this or that happens."""
+    """Grasps from home in physics, while this or that happens."""
 
     out: Annotated[Path, Suffix((".json",))]
     """results file (.json); one that an interrupted run left is gone on with"""

@@ -24,7 +24,8 @@ from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.robot.spec import RobotSpec
-from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.engines import make_physics
+from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import Scene, build_scene
 
 MakeGrasper = Callable[[RobotSpec, Approach], Grasper]
@@ -50,7 +51,7 @@ class Makers:
     _graspers: dict[Any, Grasper] = field(default_factory=dict)
     _libraries: dict[Any, Library | None] = field(default_factory=dict)
     _scenes: dict[Any, Scene] = field(default_factory=dict)
-    _worlds: dict[Any, NativePhysics] = field(default_factory=dict)
+    _worlds: dict[Any, Physics] = field(default_factory=dict)
     _objects: dict[Any, list[ObjectModel]] = field(default_factory=dict)
     _known: dict[Any, list[Known]] = field(default_factory=dict)
 
@@ -61,7 +62,7 @@ class Makers:
             InputError, FileError: The objects cannot be had.
         """
         config, objects = self.config, len(self.objects(Scenario()))
-        return parts_of(blocks_of(config.episodes, objects, config.seed), objects)
+        return parts_of(blocks_of(config.episodes, objects, config.seed), objects, config.engine)
 
     def check(self, scenario: Scenario, make: MakeGrasper, parts: Sequence[Part]) -> None:
         """Refuses a scenario before anything long starts; arguments as of `run`.
@@ -106,8 +107,9 @@ class Makers:
         """
         known, problem = self.known(scenario), self.problem(scenario, make, part)
         grasper, library = self.grasper(make, scenario), self.library(make, scenario)
+        physics = self.physics(scenario, len(problem.object_index), grasper.dt)
         end, trace = grasp_all(
-            grasper, library, self.world(scenario, grasper.dt), known_of(known, problem), problem,
+            grasper, library, physics, known_of(known, problem), problem,
             scenario, part[0].seed, progress,
         )  # fmt: skip
         names = [obj.name for obj in self.objects(scenario)]
@@ -191,14 +193,16 @@ class Makers:
             self._scenes[key] = build_scene(self.objects(scenario), robot)
         return self._scenes[key]
 
-    def world(self, scenario: Scenario, dt: float) -> NativePhysics:
-        """The simulated worlds of a scenario's trials.
+    def physics(self, scenario: Scenario, worlds: int, dt: float) -> Physics:
+        """What steps the worlds of some trials of a scenario.
 
         Args:
             scenario: Which objects, and how high they stand.
+            worlds: How many.
             dt: Control period [s].
         """
-        key = scenario.table_height, scenario.objects, dt
+        engine = self.config.engine
+        key = scenario.table_height, scenario.objects, worlds if engine == "mjx" else None, dt
         if key not in self._worlds:
-            self._worlds[key] = NativePhysics(self.scene(scenario), dt)
+            self._worlds[key] = make_physics(engine, self.scene(scenario), worlds, dt)
         return self._worlds[key]

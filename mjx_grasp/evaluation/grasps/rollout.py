@@ -1,4 +1,4 @@
-"""Closed-loop rollouts of the `Grasper` in native MuJoCo, all trials together.
+"""Closed-loop rollouts of the `Grasper` in physics, all trials together.
 
 The controller is given what a robot has: its measurements, a tracked object pose, touch flags. The
 truth is the judge's alone.
@@ -35,8 +35,8 @@ from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.sim.native import NativePhysics, at_rest
-from mjx_grasp.sim.physics import PhysicsState, Truth, WorldParams, make_params
+from mjx_grasp.sim.native import at_rest
+from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams, make_params
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped, update_progress
 
@@ -147,7 +147,7 @@ def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
 def grasp_all(
     grasper: Grasper,
     library: Library | None,
-    physics: NativePhysics,
+    physics: Physics,
     known: Known,
     problem: GraspProblem,
     scenario: Scenario | None = None,
@@ -159,7 +159,7 @@ def grasp_all(
     Args:
         grasper: The controller.
         library: Where its planner starts; None for one without a planner.
-        physics: Of the scene with all objects of the problem.
+        physics: Of the scene with all objects of the problem, as many worlds as there are trials.
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
         scenario: What happens meanwhile; by default nothing.
@@ -268,7 +268,7 @@ def _controlled(
 
 @partial(jax.jit, static_argnames="physics")
 def _stepped(
-    physics: NativePhysics, state: PhysicsState, params: WorldParams, sent: _Control
+    physics: Physics, state: PhysicsState, params: WorldParams, sent: _Control
 ) -> tuple[PhysicsState, Measured, Truth]:
     """The worlds whose trials are not over, a tick later.
 

@@ -247,7 +247,7 @@ def test_friction_and_mass_act_per_world(scene, starts, mjx_physics, step, nativ
 def test_a_wrench_acts_on_the_object_as_in_the_native_engine(
     scene, starts, mjx_physics, step, rest, params, native
 ):
-    """A force and a torque at the centre of mass, another one in each world, for this tick alone."""
+    """A force and a torque at the centre of mass, different in each world, for one tick."""
     wrench = jnp.asarray(np.random.default_rng(0).normal(size=(3, 6)) * [*[2] * 3, *[0.01] * 3])
     lifted = scene.addresses.object_qpos[2]
     states = [

@@ -282,15 +282,19 @@ class Systems:
             raise InputError("--scenarios", scenario.approach, free)
         self.makers.objects(scenario)
 
-    def kind(self, job: tuple[str, Scenario, Part]) -> Hashable:
-        """What decides which functions are compiled for a part."""
-        name, scenario, _ = job
+    def kind(self, name: str, scenario: Scenario) -> Hashable:
+        """What decides which functions are compiled for a variant."""
         return self._make[self.of[name]], compiled_for(scenario)
 
-    def part(self, job: tuple[str, Scenario, Part]) -> dict[str, Any]:
-        """A part of a variant's trials under a scenario."""
-        name, scenario, part = job
-        return self.makers.part(scenario, self._make[self.of[name]], part, self._progress)
+    def part(self, job: tuple[str, list[Scenario], Part]) -> list[dict[str, Any]]:
+        """A part of the trials under each of some scenarios, of a variant or its like."""
+        name, scenarios, part = job
+        return self.makers.part(scenarios, self._make[self.of[name]], part, self._progress)
+
+
+def _first(job: tuple[str, list[Scenario], Part]) -> tuple[str, Scenario]:
+    name, (scenario, *_), _ = job
+    return name, scenario
 
 
 def main(config: PipelineAblationConfig) -> None:
@@ -321,25 +325,32 @@ def main(config: PipelineAblationConfig) -> None:
             return all(found.get(what) == value for what, value in by[name, at].items())
 
         parts, left = systems.makers.parts(), [pair for pair in given if not is_done(*pair)]
+        batches = systems.makers.batches(left, lambda pair: systems.kind(pair[0], given[pair]))
         jobs = [
-            (json.dumps([*pair, by[pair], part]), (pair[0], given[pair], part))
-            for pair in left
+            (
+                json.dumps([[*pair, by[pair]] for pair in pairs] + [part]),
+                (pairs[0][0], [given[pair] for pair in pairs], part),
+            )
+            for pairs in batches
             for part in parts
         ]
         journal = Journal(config.out, header, made["git"])
         runs = bar.add_task("parts of the trials", total=len(given) * len(parts))
-        bar.update(runs, completed=len(given) * len(parts) - len(jobs))
+        bar.update(runs, completed=(len(given) - len(left)) * len(parts))
         setup = (lambda: systems) if config.alone else partial(Systems, config)
-        done = journaled(config, Systems.part, jobs, setup, journal, kind=systems.kind)
-        for name, at in left:
+        done = journaled(
+            config, Systems.part, jobs, setup, journal, kind=lambda job: systems.kind(*_first(job))
+        )
+        for pairs in batches:
             found = []
             for _ in parts:
-                bar.reset(one, description=f"{name}, {at}")
+                bar.reset(one, description="; ".join(", ".join(pair) for pair in pairs))
                 found.append(next(done))
-                bar.update(runs, advance=1)
-            whole = by[name, at] | joined(found)
-            whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
-            results.setdefault(name, {})[at] = whole
+                bar.update(runs, advance=len(pairs))
+            for (name, at), own in zip(pairs, zip(*found, strict=True), strict=True):
+                whole = by[name, at] | joined(own)
+                whole["rows"] = [{of: row[of] for of in _KEPT} for row in whole["rows"]]
+                results.setdefault(name, {})[at] = whole
             ordered = {name: results[name] for name in VARIANTS if name in results}
             says = {name: VARIANTS[name].says for name in ordered}
             content = header | {"variants": says, "results": ordered, "provenance": made}

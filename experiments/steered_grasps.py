@@ -57,7 +57,8 @@ from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Seed, to_record
 from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.sim.native import NativePhysics
+from mjx_grasp.sim.engines import Engine, make_physics
+from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo.run import from_anchor
 
@@ -71,7 +72,8 @@ DEFAULT = "default"
 WAYS = (DEFAULT, "contacts")
 _PERCENT = 100
 _TOGETHER = 8
-"""Trials of a part: several at once cost less each, and many processes are to share them."""
+"""Trials of a part in native MuJoCo: several at once cost less each, and many processes are to
+share them."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ class SteeredConfig(Spread):
     """names of the catalogue"""
     objects_dir: Path | None = None
     """folder of real scans; parametric stand-ins without one"""
+    engine: Engine = "mujoco"
+    """what steps the physics: mujoco (native, in threads) or mjx (Warp, on a GPU)"""
     seed: Seed = 0
     """of the poses and plans"""
 
@@ -113,7 +117,7 @@ def stacked(known: list[Known]) -> Known:
 
 
 def contacts_in_object(
-    grasper: Grasper, physics: NativePhysics, trace: Trace
+    grasper: Grasper, physics: Physics, trace: Trace
 ) -> Float[np.ndarray, "3 w 3 3"]:
     """Chosen contacts at first and last handoff, fingertips as the last lift begins; object frame.
 
@@ -148,7 +152,7 @@ def rows_of(
     names: list[str],
     ran: tuple[GraspEnd, Trace],
     grasper: Grasper,
-    physics: NativePhysics,
+    physics: Physics,
     problem: GraspProblem,
 ) -> list[dict[str, Any]]:
     """One row per trial."""
@@ -258,6 +262,8 @@ class Steered:
         # Each is made once: what is compiled for one controller is not for its like.
         self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))
         self._grasper = functools.cache(self._new_grasper)
+        self._physics = functools.cache(self._new_physics)
+        self._together = len(self._places) if config.engine == "mjx" else _TOGETHER
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -266,12 +272,12 @@ class Steered:
 
     def jobs(self) -> list[tuple[str, int]]:
         """Each way, and the first trial of each part of them."""
-        return [(way, k) for way in WAYS for k in range(0, len(self._places), _TOGETHER)]
+        return [(way, k) for way in WAYS for k in range(0, len(self._places), self._together)]
 
     def rows(self, job: tuple[str, int]) -> list[dict[str, Any]]:
         """A part of the trials in one way, from the poses and with the draws of the other way."""
         way, first = job
-        part = slice(first, first + _TOGETHER)
+        part = slice(first, first + self._together)
         places = self._places[part]
         problem = GraspProblem(*(values[part] for values in self._problem))
         known, within = [], []
@@ -283,21 +289,21 @@ class Steered:
             known.append(known_object(self._objects[place.index], self._robot, heatmap, score))
             within.append(nearest_contacts(known[-1], heatmap, place, *pose))
         grasper, library = self._grasper(way)
+        physics = self._physics(len(places), grasper.dt)
         ran = grasp_all(
-            grasper, library, self._physics, stacked(known), problem, None,
-            self._config.seed + first, self._progress,
+            grasper, library, physics, stacked(known), problem, seed=self._config.seed + first,
+            progress=self._progress,
         )  # fmt: skip
         names = [obj.name for obj in self._objects]
-        return rows_of(way, places, within, names, ran, grasper, self._physics, problem)
+        return rows_of(way, places, within, names, ran, grasper, physics, problem)
 
     def _new_grasper(self, way: str) -> tuple[Grasper, Library]:
         grasper = loaded_grasper(self._robot, self.policy, steered=way != DEFAULT)
         assert grasper.planner is not None
         return grasper, start_library(grasper.reacher.body, grasper.planner.config)
 
-    @functools.cached_property
-    def _physics(self) -> NativePhysics:
-        return NativePhysics(self._scene, self._grasper(DEFAULT)[0].dt)
+    def _new_physics(self, worlds: int, dt: float) -> Physics:
+        return make_physics(self._config.engine, self._scene, worlds, dt)
 
 
 def main(config: SteeredConfig) -> None:

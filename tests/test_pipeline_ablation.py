@@ -108,12 +108,12 @@ def quick(ablation, tmp_path, monkeypatch):
     ran, made = [], {"git": "abc", "versions": versions(), "command": "python", "seed": 0}
     after = SimpleNamespace(runs=None)
 
-    def counted(self, scenario, make, part, progress):
+    def counted(self, scenarios, make, part, progress):
         if len(ran) == after.runs:
             raise KeyboardInterrupt
-        ran.append((scenario.description, scenario.told, scenario.weighed, make, part))
+        ran.extend((each.description, each.told, each.weighed, make, part) for each in scenarios)
         progress(0.5)
-        return [row(), row("slipped")]
+        return [[row(), row("slipped" if each.told else "hit")] for each in scenarios]
 
     monkeypatch.setattr(Makers, "run", counted)
     policy = LearnedPolicy(lambda observation: observation, ObservationConfig())
@@ -152,6 +152,20 @@ def test_it_goes_on_where_it_stopped(quick):
     quick.main(quick.config)
     assert len(quick.ran) == 6
     assert "weight-unknown" in json.loads(quick.config.out.read_text())["results"]
+
+
+def test_in_mjx_what_is_told_something_else_shares_the_batch_of_its_controller(quick):
+    variants = ("full", "observer-alone", "grip")
+    config = replace(quick.config, engine="mjx", variants=variants)
+    quick.main(config)
+    makers = [make for *_, make, _ in quick.ran]
+    assert len(makers) == 6 and len(set(map(id, makers[:4]))) == len(set(map(id, makers[4:]))) == 1
+    told = [told for _, told, *_ in quick.ran]
+    assert told == [True, False, True, False, True, True]
+    found = json.loads(config.out.read_text())["results"]
+    assert list(found) == list(variants) and {*found["full"]} == {"nominal", "noisy_pose"}
+    for name, of in found.items():
+        assert all(each["all"]["hit"] == (name == "observer-alone") for each in of.values())
 
 
 def test_a_variant_that_was_cut_short_loses_no_part_of_the_trials(quick):

@@ -16,8 +16,8 @@ from mjx_grasp.evaluation.job import evaluate_to_file
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate
 from mjx_grasp.evaluation.trials import Trials, incidents
+from mjx_grasp.sim import engines
 from mjx_grasp.sim.mjx_engine import MjxPhysics
-from mjx_grasp.tasks import assemble
 from mjx_grasp.tasks.assemble import TaskConfig, World
 
 
@@ -26,7 +26,7 @@ def said(scene, starts, monkeypatch):
     """Evaluates the squeeze on the box in MJX for ten ticks: counts, and what the console shows."""
 
     def run(**buffers):
-        monkeypatch.setattr(assemble, "MjxPhysics", partial(MjxPhysics, **buffers))
+        monkeypatch.setattr(engines, "MjxPhysics", partial(MjxPhysics, **buffers))
         config = EvaluateConfig(
             out=Path("r.json"), controller="squeeze", engine="mjx", episodes=3, worlds=2
         )

@@ -251,7 +251,7 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
     for weighed, weight in ((True, 2.0), (False, 0.0)):
         with pytest.raises(BegunError) as begins:
             scenario = Scenario(weighed=weighed)
-            rollout.grasp_all(grasper, None, box_world, known, problem, scenario)
+            rollout.grasp_all(grasper, None, box_world, known, problem, [scenario])
         assert begins.value.args == (weight, None)
 
 
@@ -493,15 +493,16 @@ def test_the_table_has_whole_names_in_a_narrow_terminal():
 @pytest.fixture
 def quick(tmp_path, monkeypatch, committed):
     """Two scenarios of two parts each without a single grasp, and a run that is killed."""
-    ran, after = [], SimpleNamespace(runs=None)
+    ran, batches, after = [], [], SimpleNamespace(runs=None)
 
-    def counted(self, scenario, make, part, progress):
+    def counted(self, scenarios, make, part, progress):
         if len(ran) == after.runs:
             raise KeyboardInterrupt
         ((number, _, _),) = part
-        ran.append((scenario.hold_s, number))
+        ran.extend((scenario.hold_s, number) for scenario in scenarios)
+        batches.append(len(scenarios))
         progress(0.5)
-        return [row(), row("slipped")]
+        return [[row(), row("slipped" if each.hold_s > 1 else "hit")] for each in scenarios]
 
     monkeypatch.setattr(Makers, "run", counted)
     monkeypatch.setattr(Makers, "check", lambda *_: None)
@@ -521,7 +522,9 @@ def quick(tmp_path, monkeypatch, committed):
         run_scenarios(config, console)
         return console.file.getvalue()
 
-    return SimpleNamespace(run=run, config=config, ran=ran, after=after, windy=files[1])
+    return SimpleNamespace(
+        run=run, config=config, ran=ran, batches=batches, after=after, windy=files[1]
+    )
 
 
 @pytest.mark.parametrize("runs", [1, 2, 3])
@@ -545,6 +548,41 @@ def test_scenarios_that_were_killed_lose_no_part_and_the_file_holds_whole_ones(q
     assert list(out.parent.iterdir()) == [out]
     quick.run()
     assert len(quick.ran) == 4, "nothing is left"
+
+
+def test_in_mjx_scenarios_of_a_kind_share_a_batch_and_each_has_its_own_rows(quick, tmp_path):
+    """One with an obstacle is compiled anew, and those that fill the worlds do not wait for it."""
+    ball = tmp_path / "ball.yaml"
+    ball.write_text("obstacles: [{radius: 0.04}]\nhold_s: 2\n")
+    calm, windy = quick.config.scenarios
+    config = replace(quick.config, engine="mjx", scenarios=(calm, str(ball), windy))
+    quick.after.runs = 2
+    with pytest.raises(KeyboardInterrupt):
+        quick.run(config)
+    assert quick.batches == [2] and not config.out.exists()
+    quick.after.runs = None
+    quick.run(config)
+    assert quick.batches == [2, 2, 1, 1]
+    assert quick.ran == [(1.0, 0), (3.0, 0), (1.0, 1), (3.0, 1), (2.0, 0), (2.0, 1)], "none twice"
+    found = json.loads(config.out.read_text())["scenarios"]
+    assert list(found) == ["calm", "ball", "windy"], "as they are asked for"
+    for name, of in found.items():
+        assert [each["outcome"] for each in of["rows"]][1::2] == (
+            ["hit", "hit"] if name == "calm" else ["slipped", "slipped"]
+        )
+
+
+def test_batches_are_all_cases_those_of_a_kind_together_as_far_as_there_is_room(robot):
+    cases = list(range(40))
+    native, warp = (
+        makers(robot, "rubiks_cube", "apple", engine=engine, episodes=500)
+        for engine in ("mujoco", "mjx")
+    )
+    assert native.batches(cases, lambda case: case % 2) == [[case] for case in cases]
+    found = warp.batches(cases, lambda case: case % 2)
+    assert [case for batch in found for case in batch] == [*cases[::2], *cases[1::2]]
+    trials = 2 * max(sum(block.episodes for block in part) for part in warp.parts())
+    assert max(map(len, found)) * trials <= 8192 and len(found) <= 4
 
 
 @pytest.mark.parametrize("other", ["seed", "policy", "scenario", "mesh", "revision", "uncommitted"])

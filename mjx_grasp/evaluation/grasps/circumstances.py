@@ -1,6 +1,6 @@
 """What a scenario does to each trial: headings and obstacles as drawn, forces as they act.
 
-All is numbers of a compiled function, so that scenarios share one.
+All is numbers of a compiled function, world by world, so that scenarios share one, and a batch.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Faults
@@ -27,9 +27,9 @@ class Belt(NamedTuple):
 
     velocity: Float[Array, "w 3"]
     """[m/s]"""
-    starts_s: Float[Array, ""]
-    when_near: Float[Array, ""]
-    lasts_s: Float[Array, ""]
+    starts_s: Float[Array, " w"]
+    when_near: Float[Array, " w"]
+    lasts_s: Float[Array, " w"]
 
 
 class Push(NamedTuple):
@@ -37,8 +37,8 @@ class Push(NamedTuple):
 
     force: Float[Array, "w 3"]
     """[N]"""
-    after_s: Float[Array, ""]
-    lasts_s: Float[Array, ""]
+    after_s: Float[Array, " w"]
+    lasts_s: Float[Array, " w"]
 
 
 class Circumstances(NamedTuple):
@@ -46,13 +46,19 @@ class Circumstances(NamedTuple):
 
     mass: Float[Array, " w"]
     """true mass of the object [kg]"""
-    friction: Float[Array, ""]
+    mass_scale: Float[Array, " w"]
+    """by how much it is more than the catalogue has it [-]"""
+    weighed: Bool[Array, " w"]
+    """whether the controller knows the weight, as the catalogue has it"""
+    friction: Float[Array, " w"]
     """of an object on the table [-]"""
+    hold_s: Float[Array, " w"]
+    """time at the top after which a trial may end [s]"""
     belt: Belt
     push: Push
     faults: Faults
     """of the tracker"""
-    told: Bool[Array, ""]
+    told: Bool[Array, " w"]
     """whether fingertips tell what they touch"""
     obstacles: Float[Array, "w k 4"]
     """spheres: centre and radius [m]"""
@@ -90,18 +96,28 @@ def circumstances(
         along = np.minimum(ball.along * length, length - ball.clear)
         balls[:, k, :3] = tips + along * way / length
         balls[:, k, 3] = ball.radius
-    as_floats = [np.float32(x) for x in (belt.starts_s, belt.when_near, belt.lasts_s)]
+
+    def each(x: ArrayLike) -> Array:
+        """Numbers of the worlds, or one for all of them."""
+        return jnp.asarray(np.broadcast_to(np.asarray(x, np.float32), len(p_wo)))
+
+    faults = Faults.of(scenario.tracker, dt)
     return Circumstances(
-        mass=jnp.asarray(scenario.mass_scale * mass, jnp.float32),
-        friction=jnp.float32(friction),
-        belt=Belt(jnp.asarray(belt.speed * carried, jnp.float32), *map(jnp.asarray, as_floats)),
+        mass=each(scenario.mass_scale * mass),
+        mass_scale=each(scenario.mass_scale),
+        weighed=jnp.full(len(p_wo), scenario.weighed),
+        friction=each(friction),
+        hold_s=each(scenario.hold_s),
+        belt=Belt(
+            jnp.asarray(belt.speed * carried, jnp.float32),
+            *map(each, (belt.starts_s, belt.when_near, belt.lasts_s)),
+        ),
         push=Push(
             jnp.asarray(push.force * pushed, jnp.float32),
-            jnp.float32(push.after_s),
-            jnp.float32(push.lasts_s),
+            *map(each, (push.after_s, push.lasts_s)),
         ),
-        faults=Faults.of(scenario.tracker, dt),
-        told=jnp.asarray(scenario.told),
+        faults=Faults(*(jnp.repeat(x, len(p_wo)) for x in faults)),
+        told=jnp.full(len(p_wo), scenario.told),
         obstacles=jnp.asarray(balls, jnp.float32),
     )
 

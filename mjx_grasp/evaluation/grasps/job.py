@@ -75,10 +75,10 @@ class _Grasps:
         with _naming(name):
             return {obj.name: obj.content_hash for obj in self.makers.objects(scenario)}
 
-    def part(self, job: tuple[Scenario, Part]) -> dict[str, Any]:
-        """What came of a part of a scenario."""
-        scenario, part = job
-        return self.makers.part(scenario, self._make, part, self._progress)
+    def part(self, job: tuple[list[Scenario], Part]) -> list[dict[str, Any]]:
+        """What came of a part of each of some scenarios."""
+        scenarios, part = job
+        return self.makers.part(scenarios, self._make, part, self._progress)
 
     def _make(self, robot: RobotSpec, approach: Approach) -> Grasper:
         return loaded_grasper(robot, self.file, self._config.force_budget, approach=approach)
@@ -99,11 +99,13 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
     """
     check_writable("--out", config.out)
     scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
-    name, found = "", list[dict[str, Any]]()  # the scenario whose turn it is, its finished parts
+    # The scenarios whose turn it is, and their finished parts.
+    batch, found = list[str](), list[list[dict[str, Any]]]()
     with counting_progress(console) as bar:
 
         def show(share: float) -> None:
-            bar.update(bars[name], completed=_PERCENT * (len(found) + share))
+            for name in batch:
+                bar.update(bars[name], completed=_PERCENT * (len(found) + share))
 
         own = _Grasps(config, show)
         header = {"schema": SCHEMA, "config": to_record(unspread(config))}
@@ -118,9 +120,13 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
         left = [name for name in scenarios if name not in done]
         for name in left:
             own.check(name, scenarios[name], parts)
+        batches = own.makers.batches(left, lambda name: compiled_for(scenarios[name]))
         jobs = [
-            (f"{name}, blocks {part[0].number} to {part[-1].number}", (scenarios[name], part))
-            for name in left
+            (
+                f"{', '.join(names)}: blocks {part[0].number} to {part[-1].number}",
+                ([scenarios[name] for name in names], part),
+            )
+            for names in batches
             for part in parts
         ]
         journal = Journal(config.out, header | {"scenarios": about}, made["git"])
@@ -135,17 +141,19 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
         }
         setup = (lambda: own) if config.alone else partial(_Grasps, config)
         results = journaled(
-            config, _Grasps.part, jobs, setup, journal, kind=lambda job: compiled_for(job[0])
+            config, _Grasps.part, jobs, setup, journal, kind=lambda job: compiled_for(job[0][0])
         )
-        for name in left:
+        for batch in batches:
             found = []
             for _ in parts:
                 found.append(next(results))
                 show(0.0)
-            done[name] = about[name] | joined(found)
+            for name, own_parts in zip(batch, zip(*found, strict=True), strict=True):
+                done[name] = about[name] | joined(own_parts)
             ordered = {name: done[name] for name in scenarios if name in done}
             write_json(config.out, header | {"scenarios": ordered, "provenance": made})
-            _warn(name, done[name]["all"], console)
+            for name in batch:
+                _warn(name, done[name]["all"], console)
     journal.close()
     return {"config": header["config"], "scenarios": {name: done[name] for name in scenarios}}
 

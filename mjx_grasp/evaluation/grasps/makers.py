@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
+import jax
 import numpy as np
 
 from mjx_grasp.evaluation.grasps.blocks import Block, Part, blocks_of, parts_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
+from mjx_grasp.evaluation.grasps.plans import processor
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all, home_tips
@@ -32,8 +34,14 @@ MakeGrasper = Callable[[RobotSpec, Approach], Grasper]
 """A controller of a robot as it is mounted, whose palm is to come from somewhere."""
 
 
+_WORLDS = 8192
+"""On a GPU at once, about, if several scenarios share a batch."""
+
+Case = TypeVar("Case")
+
+
 def compiled_for(scenario: Scenario) -> Hashable:
-    """What of a scenario decides which functions a controller compiles for it."""
+    """What of a scenario decides which functions a controller compiles for it, and which worlds."""
     return (
         scenario.table_height,
         scenario.approach,
@@ -64,6 +72,22 @@ class Makers:
         config, objects = self.config, len(self.objects(Scenario()))
         return parts_of(blocks_of(config.episodes, objects, config.seed), objects, config.engine)
 
+    def batches(self, cases: Sequence[Case], kind: Callable[[Case], Hashable]) -> list[list[Case]]:
+        """What is run together: in MJX all of a kind, as far as there is room; else each alone.
+
+        Args:
+            cases: Scenarios, or what else has trials.
+            kind: What those have in common that can share a batch, see `compiled_for`.
+        """
+        if self.config.engine != "mjx":
+            return [[case] for case in cases]
+        by: dict[Hashable, list[Case]] = {}
+        for case in cases:
+            by.setdefault(kind(case), []).append(case)
+        trials = max(sum(block.episodes for block in part) for part in self.parts())
+        most = max(1, _WORLDS // (trials * len(self.objects(Scenario()))))
+        return [own[k : k + most] for own in by.values() for k in range(0, len(own), most)]
+
     def check(self, scenario: Scenario, make: MakeGrasper, parts: Sequence[Part]) -> None:
         """Refuses a scenario before anything long starts; arguments as of `run`.
 
@@ -77,27 +101,30 @@ class Makers:
 
     def part(
         self,
-        scenario: Scenario,
+        scenarios: Sequence[Scenario],
         make: MakeGrasper,
         part: Part,
         progress: Callable[[float], None] = lambda share: None,
-    ) -> dict[str, Any]:
-        """Seconds and rows of a part of a scenario, as JSON; arguments as of `run`."""
-        started = time.perf_counter()
-        rows = [asdict(row) for row in self.run(scenario, make, part, progress)]
-        return {"seconds": round(time.perf_counter() - started, 1), "rows": rows}
+    ) -> list[dict[str, Any]]:
+        """Seconds and rows of a part of each scenario, as JSON; arguments as of `run`."""
+        started, count = time.perf_counter(), len(scenarios)
+        rows = self.run(scenarios, make, part, progress)
+        seconds = round((time.perf_counter() - started) / count, 1)
+        return [{"seconds": seconds, "rows": [asdict(row) for row in own]} for own in rows]
 
     def run(
         self,
-        scenario: Scenario,
+        scenarios: Sequence[Scenario],
         make: MakeGrasper,
         part: Part,
         progress: Callable[[float], None] = lambda share: None,
-    ) -> list[GraspRow]:
-        """A part of a scenario; its poses and headings are the same for every controller.
+    ) -> list[list[GraspRow]]:
+        """A part of some scenarios, in one batch; rows of each.
+
+        Poses and headings are the same for every controller.
 
         Args:
-            scenario: What happens.
+            scenarios: What happens in each, all of a kind (`compiled_for`).
             make: What makes the controller. The same one makes it once.
             part: Which trials.
             progress: Told which share of the longest possible time is done.
@@ -105,15 +132,19 @@ class Makers:
         Raises:
             InputError: The objects cannot be had, not be grasped, or not lie where they are to.
         """
-        known, problem = self.known(scenario), self.problem(scenario, make, part)
-        grasper, library = self.grasper(make, scenario), self.library(make, scenario)
-        physics = self.physics(scenario, len(problem.object_index), grasper.dt)
+        like = scenarios[0]
+        problems = [self.problem(scenario, make, part) for scenario in scenarios]
+        problem = GraspProblem(*map(np.concatenate, zip(*problems, strict=True)))
+        grasper, library = self.grasper(make, like), self.library(make, like)
+        physics = self.physics(like, len(problem.object_index), grasper.dt)
+        known = known_of(self.known(like), problem)
         end, trace = grasp_all(
-            grasper, library, physics, known_of(known, problem), problem,
-            scenario, part[0].seed, progress,
-        )  # fmt: skip
-        names = [obj.name for obj in self.objects(scenario)]
-        return grasp_rows(names, problem, end, trace, grasper.dt)
+            grasper, library, physics, known, problem, scenarios, part[0].seed, progress
+        )
+        names = [obj.name for obj in self.objects(like)]
+        rows = grasp_rows(names, problem, end, trace, grasper.dt)
+        trials = len(rows) // len(scenarios)
+        return [rows[k : k + trials] for k in range(0, len(rows), trials)]
 
     def problem(self, scenario: Scenario, make: MakeGrasper, part: Part) -> GraspProblem:
         """The poses of a part of a scenario; arguments as of `run`.
@@ -147,7 +178,8 @@ class Makers:
         if key not in self._libraries:
             grasper = self.grasper(make, scenario)
             planner, body = grasper.planner, grasper.reacher.body
-            found = None if planner is None else start_library(body, planner.config)
+            with jax.default_device(processor()):
+                found = None if planner is None else start_library(body, planner.config)
             self._libraries[key] = found
         return self._libraries[key]
 

@@ -1,8 +1,12 @@
-"""New plans for some worlds of many, by one compiled function."""
+"""New plans for some worlds of many, each looked for by itself, on the processor's cores.
+
+A search for one world alone is as fast on a core as one of a batch on a GPU, whose compiler takes
+minutes for it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -14,20 +18,27 @@ from jaxtyping import Array, Float, Int
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library
+from mjx_grasp.records.provenance import usable_cores
 
-_TOGETHER = 128
-"""Worlds that a GPU plans for at once, few in hardly less time; a CPU plans for one at a time."""
+_ADOPTED = 64
+"""Worlds that take over plans at once, so that one compiled function is enough."""
 
 
 class Wanted(NamedTuple):
     """What is planned for, of all worlds, stacked."""
 
     known: Known
+    """of NumPy, or it is fetched from the device each time"""
     seen: Seen
     q: Float[Array, "w n"]
     """measured joint positions [rad]"""
     tried: Tried
     """see `Grasper.plan`"""
+
+
+def processor() -> jax.Device:
+    """JAX's device of this machine's cores, be there others or not."""
+    return jax.local_devices(backend="cpu")[0]
 
 
 def planned(
@@ -36,9 +47,8 @@ def planned(
     wanted: Wanted,
     key: Array,
     rows: Int[np.ndarray, " k"],
-    together: int | None = None,
 ) -> Ways | None:
-    """Plans of some worlds; None where the controller makes none.
+    """Plans of some worlds, of NumPy; None where the controller makes none.
 
     Args:
         grasper: The controller.
@@ -46,65 +56,56 @@ def planned(
         wanted: What is planned for, in all worlds.
         key: Of what is tried at random.
         rows: The worlds, one at least.
-        together: So many are planned for at once; by default what the device does best.
     """
     if library is None:
         return None
-    parts = planned_in_parts(grasper, library, wanted, key, rows, together)
-    found = [jax.device_get(ways) for _, ways in parts]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
+    library, key = jax.device_put((library, key), processor())
+    wanted = jax.device_get(wanted)
 
+    def of(row: int) -> Ways:
+        own = jax.tree.map(lambda leaf: leaf[row], wanted)
+        return jax.device_get(_plans(grasper, library, own, key, row))
 
-def planned_in_parts(
-    grasper: Grasper,
-    library: Library,
-    wanted: Wanted,
-    key: Array,
-    rows: Int[np.ndarray, " k"],
-    together: int | None = None,
-) -> Iterator[tuple[Int[Array, " part"], Ways]]:
-    """Worlds and their plans, some at a time; arguments as of `planned`.
-
-    All parts are of the same size: the last one is filled up with a world behind the last one.
-    """
-    together = together or (1 if jax.default_backend() == "cpu" else _TOGETHER)
-    for first in range(0, len(rows), together):
-        part = np.full(together, len(wanted.q), np.int32)
-        some = rows[first : first + together]
-        part[: len(some)] = some
-        yield jnp.asarray(part), _plans(grasper, library, wanted, key, jnp.asarray(part))
+    found = [of(rows[0])]  # it may have to be compiled, once
+    if len(rows) > 1:
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            found += pool.map(of, rows[1:])
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
 
 @partial(jax.jit, static_argnames="grasper")
 def _plans(
-    grasper: Grasper,
-    library: Library,
-    wanted: Wanted,
-    key: Array,
-    rows: Int[Array, " part"],
+    grasper: Grasper, library: Library, own: Wanted, key: Array, row: Int[Array, ""]
 ) -> Ways | None:
-    def of(row: Int[Array, ""]) -> Ways | None:
-        known, seen, q, tried = jax.tree.map(lambda leaf: leaf[row], wanted)
-        return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
-
-    rows = jnp.minimum(rows, len(wanted.q) - 1)
-    if len(rows) == 1:  # as of one world: what a batch computes in vain is not computed
-        return jax.tree.map(lambda leaf: leaf[None], of(rows[0]))
-    return jax.vmap(of)(rows)
+    known, seen, q, tried = own
+    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
 
 
-@partial(jax.jit, static_argnames="grasper")
 def with_plans(
-    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[Array, " part"]
+    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[np.ndarray, " k"]
 ) -> GraspState:
     """All worlds, some of them with new plans.
 
     Args:
         grasper: The controller.
         state: Of all worlds, stacked.
-        ways: Of these worlds, from `planned_in_parts`.
-        rows: The worlds; one behind the last stands for none.
+        ways: Of these worlds, from `planned`.
+        rows: The worlds.
     """
+    worlds = len(state.phase)
+    for first in range(0, len(rows), _ADOPTED):
+        part = np.full(_ADOPTED, worlds, np.int32)  # one behind the last stands for none
+        some = rows[first : first + _ADOPTED]
+        part[: len(some)] = some
+        own = np.minimum(first + np.arange(_ADOPTED), len(rows) - 1)
+        state = _adopted(grasper, state, jax.tree.map(lambda leaf, own=own: leaf[own], ways), part)
+    return state
+
+
+@partial(jax.jit, static_argnames="grasper")
+def _adopted(
+    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[Array, " part"]
+) -> GraspState:
     last = len(state.phase) - 1
     some = jax.tree.map(lambda leaf: leaf[jnp.minimum(rows, last)], state)
     new = jax.vmap(grasper.adopt)(some, ways)

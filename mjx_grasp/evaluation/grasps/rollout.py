@@ -6,7 +6,7 @@ truth is the judge's alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -23,7 +23,7 @@ from mjx_grasp.evaluation.grasps.circumstances import (
     push_wrench,
 )
 from mjx_grasp.evaluation.grasps.hits import hits
-from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, with_plans
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
@@ -37,6 +37,7 @@ from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import at_rest
 from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams, make_params
+from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped, update_progress
 
@@ -150,7 +151,7 @@ def grasp_all(
     physics: Physics,
     known: Known,
     problem: GraspProblem,
-    scenario: Scenario | None = None,
+    scenarios: Sequence[Scenario] = (Scenario(),),
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[GraspEnd, Trace]:
@@ -162,32 +163,30 @@ def grasp_all(
         physics: Of the scene with all objects of the problem, as many worlds as there are trials.
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
-        scenario: What happens meanwhile; by default nothing.
+        scenarios: What happens meanwhile; by default nothing. Several have equal shares of the
+            trials, one after the other, and as many obstacles each.
         seed: Of the plans and of the tracker's noise.
         progress: Told which share of the longest possible time is done.
     """
-    scenario = scenario or Scenario()
-    if not scenario.weighed:
-        known = known._replace(weight=jnp.zeros_like(known.weight))
     scene, worlds = physics.scene, len(problem.object_index)
     at, dt, friction = scene.addresses, grasper.dt, scene.config.friction[0]
+    given = _given(grasper, scene, problem, scenarios)
+    known = known._replace(weight=jnp.where(given.weighed, known.weight, 0.0))
+    fetched = jax.device_get(known)  # plans are made on the processor
     home = np.asarray(grasper.reacher.body.home, np.float32)
     qpos = np.zeros((worlds, scene.model.nq), np.float32)
     qpos[:, at.robot_qpos] = home
     qpos[:, at.object_qpos] = np.concatenate([problem.p_wo, problem.quat], axis=1)
-    params = make_params(jnp.asarray(problem.object_index), friction, scenario.mass_scale)
+    params = make_params(jnp.asarray(problem.object_index), friction, given.mass_scale)
     measured, truth = at_rest(scene, qpos, physics.substeps)
     order = np.argsort(at.robot_ctrl)
     ctrl = jnp.broadcast_to(jnp.asarray(home[order]), (worlds, len(home)))
-    tips = home_tips(grasper)
-    mass = np.array([obj.mass for obj in scene.objects])[problem.object_index]
-    given = circumstances(scenario, problem.p_wo, problem.headings, mass, friction, tips, dt)
 
     key, noise = jax.random.split(jax.random.key(seed))
     first = jax.random.fold_in(noise, 0)
     tracked = track(start_track(*_pose(truth), dt), *_pose(truth), first, given.faults)
     seen = _seen(tracked, truth, given)
-    wanted = Wanted(known, seen, measured.q, Tried.nothing(worlds))
+    wanted = Wanted(fetched, seen, measured.q, Tried.nothing(worlds))
     plans = planned(grasper, library, wanted, key, np.arange(worlds))
     grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
@@ -204,9 +203,9 @@ def grasp_all(
         broken=jnp.zeros(worlds, bool),
         overflow_ticks=jnp.zeros(worlds, jnp.int32),
     )
-    about = jnp.asarray(order), jnp.asarray(problem.p_wo[:, 2]), jnp.float32(scenario.hold_s)
+    about = jnp.asarray(order), jnp.asarray(problem.p_wo[:, 2])
     replans, ticks = np.zeros(worlds, int), []
-    longest = grasper.config.timeout_s + scenario.hold_s + 2.0
+    longest = grasper.config.timeout_s + max(each.hold_s for each in scenarios) + 2.0
     for number in range(round(longest / dt / _SEGMENT)):
         for _ in range(_SEGMENT):
             sent = _controlled(grasper, carry, known, given, *about)
@@ -215,7 +214,7 @@ def grasp_all(
             ticks.append(tick)
         ticks[-_SEGMENT:] = jax.device_get(ticks[-_SEGMENT:])
         progress(number * _SEGMENT * dt / longest)
-        over = np.asarray(_over(carry, about[2]))
+        over = np.asarray(_over(carry, given.hold_s))
         if np.all(over):
             break
         due = np.flatnonzero(carry.due & ~over)
@@ -223,10 +222,10 @@ def grasp_all(
             assert library is not None  # plans are due of none without a planner
             key = jax.random.fold_in(key, number)
             now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
-            state = carry.grasp
-            wanted = Wanted(known, now, carry.measured.q, state.tried)
-            for rows, ways in planned_in_parts(grasper, library, wanted, key, due):
-                state = with_plans(grasper, state, ways, rows)
+            wanted = Wanted(fetched, now, carry.measured.q, carry.grasp.tried)
+            ways = planned(grasper, library, wanted, key, due)
+            assert ways is not None
+            state = with_plans(grasper, carry.grasp, ways, due)
             carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
@@ -235,6 +234,20 @@ def grasp_all(
     obstacles = np.asarray(given.obstacles)
     hit = hits(scene.robot, trace.qpos[:, :, at.robot_qpos], obstacles)
     return GraspEnd(grasp, judged, replans, obstacles, hit, *incidents), trace
+
+
+def _given(
+    grasper: Grasper, scene: Scene, problem: GraspProblem, scenarios: Sequence[Scenario]
+) -> Circumstances:
+    """What happens in each trial."""
+    tips, friction = home_tips(grasper), scene.config.friction[0]
+    mass = np.array([obj.mass for obj in scene.objects])[problem.object_index]
+    of_each = [np.split(x, len(scenarios)) for x in (problem.p_wo, problem.headings, mass)]
+    parts = [
+        circumstances(scenario, p_wo, headings, mass, friction, tips, grasper.dt)
+        for scenario, p_wo, headings, mass in zip(scenarios, *of_each, strict=True)
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 @partial(jax.jit, static_argnames="grasper")
@@ -247,7 +260,7 @@ def _start(
 @partial(jax.jit, static_argnames="grasper")
 def _controlled(
     grasper: Grasper, carry: _Carry, known: Known, given: Circumstances, order: Int[Array, " n"],
-    base: Float[Array, " w"], hold_s: Float[Array, ""],
+    base: Float[Array, " w"],
 ) -> _Control:  # fmt: skip
     """What is sent to the robots, and acts on the objects, until the next tick."""
     key, noise = jax.random.split(carry.key)
@@ -262,7 +275,7 @@ def _controlled(
     holds = grasp.phase == Phase.HOLDING
     held = jnp.where(holds, grasp.clock - grasp.entered[:, Phase.HOLDING], jnp.nan)
     wrench += push_wrench(given, held)
-    over = _over(carry, hold_s)
+    over = _over(carry, given.hold_s)
     return _Control(grasp, done, tracked, began, key, done.target[:, order], wrench, over)
 
 
@@ -326,12 +339,12 @@ def _seen(tracked: Track, truth: Truth, given: Circumstances) -> Seen:
     return Seen(
         p_wo=tracked.p_wo,
         R_wo=tracked.R_wo,
-        touching=truth.tip_found & given.told,
+        touching=truth.tip_found & given.told[:, None],
         obstacles=given.obstacles,
     )
 
 
-def _over(carry: _Carry, hold_s: float | Float[Array, ""]) -> Bool[Array, " w"]:
+def _over(carry: _Carry, hold_s: Float[Array, " w"]) -> Bool[Array, " w"]:
     """Which trials are over: failed, or held for long enough, after the time that each one gets."""
     grasp = carry.grasp
     held = grasp.clock - grasp.entered[:, Phase.HOLDING] >= hold_s

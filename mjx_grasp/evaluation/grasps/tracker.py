@@ -16,16 +16,16 @@ _LONG_AGO = 10**6
 
 
 class Faults(NamedTuple):
-    """A `TrackerConfig` as numbers of a compiled function."""
+    """A `TrackerConfig` as numbers of a compiled function, one for all worlds or one each."""
 
-    position: Float[Array, ""]
+    position: Float[Array, "*w"]
     """[m]"""
-    rotation: Float[Array, ""]
+    rotation: Float[Array, "*w"]
     """[rad]"""
-    age: Int[Array, ""]
+    age: Int[Array, "*w"]
     """of a reading in ticks"""
-    dropout: Float[Array, ""]
-    period: Int[Array, ""]
+    dropout: Float[Array, "*w"]
+    period: Int[Array, "*w"]
     """of readings in ticks"""
 
     @classmethod
@@ -81,9 +81,12 @@ def track(
     late_pos = jnp.concatenate([p_wo[:, None], before.late_pos[:, :-1]], axis=1)
     late_mat = jnp.concatenate([R_wo[:, None], before.late_mat[:, :-1]], axis=1)
     moved, turned, lost = jax.random.split(key, 3)
-    p = late_pos[:, faults.age] + faults.position * jax.random.normal(moved, p_wo.shape)
-    off = faults.rotation * jax.random.normal(turned, p_wo.shape)
-    R = late_mat[:, faults.age] @ jax.vmap(so3.exp)(off)
+    worlds = jnp.arange(len(p_wo))
+    faults = jax.tree.map(lambda x: jnp.broadcast_to(x, worlds.shape), faults)
+    off = faults.position[:, None] * jax.random.normal(moved, p_wo.shape)
+    p = late_pos[worlds, faults.age] + off
+    off = faults.rotation[:, None] * jax.random.normal(turned, p_wo.shape)
+    R = late_mat[worlds, faults.age] @ jax.vmap(so3.exp)(off)
     since = before.since + 1
     due = since >= faults.period
     gone = ~due | jax.random.bernoulli(lost, faults.dropout, (len(p_wo),))

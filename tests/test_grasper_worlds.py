@@ -54,10 +54,11 @@ def worlds(module):
 
 
 @pytest.mark.wrong_types
-def test_worlds_that_want_none_keep_their_plans(module, worlds):
+@pytest.mark.parametrize("batch", [1, 3, 8])
+def test_worlds_that_want_none_keep_their_plans_whatever_the_batch(module, worlds, batch):
     due = np.flatnonzero(worlds.due)
     key = jax.random.key(0)
-    after = module.planned_anew(Planner(), jnp.zeros(1), None, worlds, key, due)
+    after = module.planned_anew(Planner(), None, None, batch, worlds, key, due)
     asked = np.asarray(worlds.due)
     expected = np.where(asked, np.asarray(worlds.measured.q)[:, 0], -1.0)
     np.testing.assert_array_equal(after.grasp.ways["of"], expected)

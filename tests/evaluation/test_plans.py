@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_grasp.evaluation.grasps import plans
-from mjx_grasp.evaluation.grasps.plans import Wanted, planned, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 
 WORLDS = 7
 ROWS = np.array([4, 1, 6])
@@ -48,23 +47,25 @@ def one_by_one(grasper, library, wanted, key):
 
 
 @pytest.mark.wrong_types
-@pytest.mark.parametrize("cores", [1, 2, 16])
-def test_plans_are_those_of_each_world_alone(given, cores, monkeypatch):
-    monkeypatch.setattr(plans, "usable_cores", lambda: cores)
+@pytest.mark.parametrize("together", [None, 1, 2, 3, 5])
+def test_plans_are_those_of_each_world_alone(given, together):
     expected = one_by_one(*given)
-    for rows in (ROWS, ROWS[:1]):
-        np.testing.assert_allclose(planned(*given, rows), expected[rows], rtol=1e-6)
+    found = planned(*given, ROWS, together)
+    np.testing.assert_allclose(found, expected[ROWS], rtol=1e-6)
     assert len(np.unique(expected[:, -1])) == WORLDS, "every world tries its own"
-    everyone = planned(*given, np.arange(WORLDS))
+    everyone = planned(*given, np.arange(WORLDS), together)
     np.testing.assert_allclose(everyone, expected, rtol=1e-6)
 
 
 @pytest.mark.wrong_types
-@pytest.mark.parametrize("at_once", [1, 2, 3, 5])
-def test_those_that_want_plans_take_them_over_and_the_others_stay(given, at_once, monkeypatch):
-    monkeypatch.setattr(plans, "_ADOPTED", at_once)
+@pytest.mark.parametrize("together", [1, 2, 3, 5])
+def test_those_that_want_plans_take_them_over_and_the_others_stay(given, together):
     before = State(jnp.arange(WORLDS), jnp.zeros((WORLDS, 6)))
-    after = with_plans(given[0], before, planned(*given, ROWS), ROWS)
+    parts = list(planned_in_parts(*given, ROWS, together))
+    assert all(len(rows) == len(ways) == together for rows, ways in parts)
+    after = before
+    for rows, ways in parts:
+        after = with_plans(given[0], after, ways, rows)
     wants = np.isin(np.arange(WORLDS), ROWS)
     np.testing.assert_array_equal(after.phase, np.arange(WORLDS) + wants)
     expected = np.where(wants[:, None], one_by_one(*given), 0.0)

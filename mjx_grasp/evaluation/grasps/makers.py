@@ -7,12 +7,10 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
-import jax
 import numpy as np
 
 from mjx_grasp.evaluation.grasps.blocks import Block, Part, blocks_of, parts_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
-from mjx_grasp.evaluation.grasps.plans import processor
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all, home_tips
@@ -178,8 +176,7 @@ class Makers:
         if key not in self._libraries:
             grasper = self.grasper(make, scenario)
             planner, body = grasper.planner, grasper.reacher.body
-            with jax.default_device(processor()):
-                found = None if planner is None else start_library(body, planner.config)
+            found = None if planner is None else start_library(body, planner.config)
             self._libraries[key] = found
         return self._libraries[key]
 

@@ -1,12 +1,8 @@
-"""New plans for some worlds of many, each looked for by itself, on the processor's cores.
-
-A search for one world alone is as fast on a core as one of a batch on a GPU, whose compiler takes
-minutes for it.
-"""
+"""New plans for some worlds of many, by one compiled function."""
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -18,27 +14,20 @@ from jaxtyping import Array, Float, Int
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library
-from mjx_grasp.records.provenance import usable_cores
 
-_ADOPTED = 64
-"""Worlds that take over plans at once, so that one compiled function is enough."""
+_TOGETHER = 128
+"""Worlds that a GPU plans for at once, few in hardly less time; a CPU plans for one at a time."""
 
 
 class Wanted(NamedTuple):
     """What is planned for, of all worlds, stacked."""
 
     known: Known
-    """of NumPy, or it is fetched from the device each time"""
     seen: Seen
     q: Float[Array, "w n"]
     """measured joint positions [rad]"""
     tried: Tried
     """see `Grasper.plan`"""
-
-
-def processor() -> jax.Device:
-    """JAX's device of this machine's cores, be there others or not."""
-    return jax.local_devices(backend="cpu")[0]
 
 
 def planned(
@@ -47,8 +36,9 @@ def planned(
     wanted: Wanted,
     key: Array,
     rows: Int[np.ndarray, " k"],
+    together: int | None = None,
 ) -> Ways | None:
-    """Plans of some worlds, of NumPy; None where the controller makes none.
+    """Plans of some worlds; None where the controller makes none.
 
     Args:
         grasper: The controller.
@@ -56,56 +46,72 @@ def planned(
         wanted: What is planned for, in all worlds.
         key: Of what is tried at random.
         rows: The worlds, one at least.
+        together: So many are planned for at once; by default what the device does best.
     """
     if library is None:
         return None
-    library, key = jax.device_put((library, key), processor())
-    wanted = jax.device_get(wanted)
+    parts = planned_in_parts(grasper, library, wanted, key, rows, together)
+    found = [jax.device_get(ways) for _, ways in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
 
-    def of(row: int) -> Ways:
-        own = jax.tree.map(lambda leaf: leaf[row], wanted)
-        return jax.device_get(_plans(grasper, library, own, key, row))
 
-    found = [of(rows[0])]  # it may have to be compiled, once
-    if len(rows) > 1:
-        with ThreadPoolExecutor(usable_cores()) as pool:
-            found += pool.map(of, rows[1:])
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+def planned_in_parts(
+    grasper: Grasper,
+    library: Library,
+    wanted: Wanted,
+    key: Array,
+    rows: Int[np.ndarray, " k"],
+    together: int | None = None,
+) -> Iterator[tuple[Int[Array, " part"], Ways]]:
+    """Worlds and their plans, some at a time; arguments as of `planned`.
+
+    All parts are of the same size: the last one is filled up with a world behind the last one.
+    """
+    together = together or (1 if jax.default_backend() == "cpu" else _TOGETHER)
+    for first in range(0, len(rows), together):
+        part = np.full(together, len(wanted.q), np.int32)
+        some = rows[first : first + together]
+        part[: len(some)] = some
+        rows_of_part = jnp.asarray(part)
+        own, keys = _own(wanted, key, rows_of_part)
+        yield rows_of_part, _plans(grasper, library, own, keys)
+
+
+@jax.jit
+def _own(wanted: Wanted, key: Array, rows: Int[Array, " part"]) -> tuple[Wanted, Array]:
+    """What some worlds want, and a key for each.
+
+    Apart from the search, whose compiled function takes minutes on a GPU and so does not depend on
+    how many worlds there are.
+    """
+    rows = jnp.minimum(rows, len(wanted.q) - 1)
+    keys = jax.vmap(partial(jax.random.fold_in, key))(rows)
+    return jax.tree.map(lambda leaf: leaf[rows], wanted), keys
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _plans(
-    grasper: Grasper, library: Library, own: Wanted, key: Array, row: Int[Array, ""]
-) -> Ways | None:
-    known, seen, q, tried = own
-    return grasper.plan(library, known, seen, q, jax.random.fold_in(key, row), tried)
+def _plans(grasper: Grasper, library: Library, own: Wanted, keys: Array) -> Ways | None:
+    def of(one: Wanted, key: Array) -> Ways | None:
+        return grasper.plan(library, one.known, one.seen, one.q, key, one.tried)
+
+    if len(keys) == 1:  # as of one world: what a batch computes in vain is not computed
+        alone = of(*jax.tree.map(lambda leaf: leaf[0], (own, keys)))
+        return jax.tree.map(lambda leaf: leaf[None], alone)
+    return jax.vmap(of)(own, keys)
 
 
+@partial(jax.jit, static_argnames="grasper")
 def with_plans(
-    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[np.ndarray, " k"]
+    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[Array, " part"]
 ) -> GraspState:
     """All worlds, some of them with new plans.
 
     Args:
         grasper: The controller.
         state: Of all worlds, stacked.
-        ways: Of these worlds, from `planned`.
-        rows: The worlds.
+        ways: Of these worlds, from `planned_in_parts`.
+        rows: The worlds; one behind the last stands for none.
     """
-    worlds = len(state.phase)
-    for first in range(0, len(rows), _ADOPTED):
-        part = np.full(_ADOPTED, worlds, np.int32)  # one behind the last stands for none
-        some = rows[first : first + _ADOPTED]
-        part[: len(some)] = some
-        own = np.minimum(first + np.arange(_ADOPTED), len(rows) - 1)
-        state = _adopted(grasper, state, jax.tree.map(lambda leaf, own=own: leaf[own], ways), part)
-    return state
-
-
-@partial(jax.jit, static_argnames="grasper")
-def _adopted(
-    grasper: Grasper, state: GraspState, ways: Ways, rows: Int[Array, " part"]
-) -> GraspState:
     last = len(state.phase) - 1
     some = jax.tree.map(lambda leaf: leaf[jnp.minimum(rows, last)], state)
     new = jax.vmap(grasper.adopt)(some, ways)

@@ -23,7 +23,7 @@ from mjx_grasp.evaluation.grasps.circumstances import (
     push_wrench,
 )
 from mjx_grasp.evaluation.grasps.hits import hits
-from mjx_grasp.evaluation.grasps.plans import Wanted, planned, with_plans
+from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.tracker import Track, start_track, track
 from mjx_grasp.geometry import so3
@@ -172,7 +172,6 @@ def grasp_all(
     at, dt, friction = scene.addresses, grasper.dt, scene.config.friction[0]
     given = _given(grasper, scene, problem, scenarios)
     known = known._replace(weight=jnp.where(given.weighed, known.weight, 0.0))
-    fetched = jax.device_get(known)  # plans are made on the processor
     home = np.asarray(grasper.reacher.body.home, np.float32)
     qpos = np.zeros((worlds, scene.model.nq), np.float32)
     qpos[:, at.robot_qpos] = home
@@ -186,7 +185,7 @@ def grasp_all(
     first = jax.random.fold_in(noise, 0)
     tracked = track(start_track(*_pose(truth), dt), *_pose(truth), first, given.faults)
     seen = _seen(tracked, truth, given)
-    wanted = Wanted(fetched, seen, measured.q, Tried.nothing(worlds))
+    wanted = Wanted(known, seen, measured.q, Tried.nothing(worlds))
     plans = planned(grasper, library, wanted, key, np.arange(worlds))
     grasp = _start(grasper, measured, known, seen, plans)
     carry = _Carry(
@@ -222,10 +221,10 @@ def grasp_all(
             assert library is not None  # plans are due of none without a planner
             key = jax.random.fold_in(key, number)
             now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
-            wanted = Wanted(fetched, now, carry.measured.q, carry.grasp.tried)
-            ways = planned(grasper, library, wanted, key, due)
-            assert ways is not None
-            state = with_plans(grasper, carry.grasp, ways, due)
+            state = carry.grasp
+            wanted = Wanted(known, now, carry.measured.q, state.tried)
+            for rows, ways in planned_in_parts(grasper, library, wanted, key, due):
+                state = with_plans(grasper, state, ways, rows)
             carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
             replans[due] += 1
     grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))

@@ -1,7 +1,7 @@
 """Jobs over processes of one machine or several, their results in order, by Ray (extra `ray`).
 
 One evaluation alone does not use many cores: its physics does, its controller hardly. So several
-run beside each other, each on cores of its own.
+run beside each other, each on cores of its own, and on one of the GPUs if there are any.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from glob import glob
 from importlib.util import find_spec
 from textwrap import shorten
 from typing import Any, NamedTuple, TypeVar
@@ -26,6 +27,7 @@ Kind = Callable[[Job], Hashable]
 """What jobs have in common that a process makes for the first of them and has for the others, such
 as compiled functions."""
 S = TypeVar("S", bound="Spread")
+_GPUS = "CUDA_VISIBLE_DEVICES"
 TRIES = 3
 """Of a job whose process is lost, by a kill for want of memory say."""
 
@@ -205,6 +207,17 @@ def cores_of(place: Place, cores: Sequence[int]) -> list[int]:
     return own or [cores[place.rank % len(cores)]]
 
 
+def gpus() -> list[str]:
+    """The GPUs that this process may use, as CUDA names them; JAX is not asked, as it would begin.
+
+    CUDA's own variable says which; without it they are all.
+    """
+    named = os.environ.get(_GPUS)
+    if named is not None:
+        return [gpu for gpu in named.split(",") if gpu]
+    return [str(k) for k in range(len(glob("/dev/nvidia[0-9]*")))]
+
+
 class _Worker:
     """One process."""
 
@@ -223,5 +236,7 @@ class _Worker:
         if not self._context:
             if hasattr(os, "sched_setaffinity"):  # not on macOS
                 os.sched_setaffinity(0, cores_of(place, sorted(os.sched_getaffinity(0))))
+            if found := gpus():  # one each, shared in turn where there are fewer
+                os.environ[_GPUS] = found[place.rank % len(found)]
             self._context.append(self._setup())
         return number, self._work(self._context[0], job)

@@ -67,6 +67,29 @@ def test_more_processes_than_cores_of_a_machine_share_them():
     assert [cores_of(Place(k, 3), [4, 5]) for k in range(3)] == [[4], [5], [4]]
 
 
+@pytest.mark.parametrize(
+    ("named", "there", "each"),
+    [
+        ("4,6", 8, ["4", "6", "4"]),
+        (None, 2, ["0", "1", "0"]),
+        ("GPU-1", 2, ["GPU-1"] * 3),
+        ("", 2, [""] * 3),
+        (None, 0, [None] * 3),
+    ],
+)
+def test_processes_share_the_gpus_that_they_may_use(named, there, each, monkeypatch):
+    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: None)
+    monkeypatch.setattr(module, "glob", lambda _: [f"/dev/nvidia{k}" for k in range(there)])
+    found = []
+    for k in range(3):
+        monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+        if named is not None:
+            monkeypatch.setenv("CUDA_VISIBLE_DEVICES", named)
+        seen = lambda *_: os.environ.get("CUDA_VISIBLE_DEVICES")  # noqa: E731
+        found.append(module._Worker(seen, lambda: None).run(Place(k, 3), 0, None)[1])
+    assert found == each
+
+
 def test_places_are_counted_on_each_machine():
     assert places_on("aba") == [Place(0, 2), Place(0, 1), Place(1, 2)]
 

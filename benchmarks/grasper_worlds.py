@@ -134,7 +134,7 @@ def _run(
     library = start_library(grasper.reacher.body, grasper.planner.config)
 
     def plans(worlds: Worlds, key: Array, rows: Int[np.ndarray, " k"]) -> Ways | None:
-        return planned(grasper, library, wanted(worlds, known), key, rows, config.plan_batch)
+        return planned(grasper, library, wanted(worlds, known, key), rows, config.plan_batch)
 
     anew = partial(planned_anew, grasper, library, known, config.plan_batch)
     params = make_params(jnp.asarray(problem.object_index), physics.scene.config.friction[0])
@@ -204,11 +204,12 @@ def at_home(grasper: Grasper, physics: Physics, problem: GraspProblem) -> Worlds
     return Worlds(state, measured, truth, None, none, none)
 
 
-def wanted(worlds: Worlds, known: Known) -> Wanted:
+def wanted(worlds: Worlds, known: Known, key: Array) -> Wanted:
     """What is planned for: where everything is, and what has been tried."""
     q = worlds.measured.q
     tried = Tried.nothing(len(q)) if worlds.grasp is None else worlds.grasp.tried
-    return Wanted(known, seen_of(worlds.truth), q, tried)
+    keys = jax.random.split(key, len(q))
+    return Wanted(known, seen_of(worlds.truth), q, tried, keys)
 
 
 def planned_anew(
@@ -222,7 +223,8 @@ def planned_anew(
 ) -> Worlds:
     """New plans for the worlds that want some."""
     grasp = worlds.grasp
-    for rows, ways in planned_in_parts(grasper, library, wanted(worlds, known), key, due, batch):
+    asked = wanted(worlds, known, key)
+    for rows, ways in planned_in_parts(grasper, library, asked, due, batch):
         grasp = with_plans(grasper, grasp, ways, rows)
     return worlds._replace(grasp=grasp, due=jnp.zeros_like(worlds.due))
 

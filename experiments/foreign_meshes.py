@@ -115,7 +115,7 @@ def main(config: ForeignConfig) -> None:
         problem = draw_problem(physics.scene, 1, config.seed)
         job = bar.add_task("grasps", total=1.0)
         end, trace = grasp_all(
-            grasper, library, physics, known_of(known, problem), problem, seed=config.seed,
+            grasper, library, physics, known_of(known, problem), problem,
             progress=lambda share: bar.update(job, completed=share),
         )  # fmt: skip
     ends = grasp_rows([obj.name for obj in objects], problem, end, trace, grasper.dt)

@@ -258,6 +258,7 @@ class Steered:
             p_wo=np.concatenate([part.p_wo for part in drawn]),
             quat=np.concatenate([part.quat for part in drawn]),
             headings=np.concatenate([part.headings for part in drawn]),
+            seed=np.concatenate([part.seed for part in drawn]),
         )
         # Each is made once: what is compiled for one controller is not for its like.
         self._heatmap = functools.cache(lambda k: heatmap_of(objects[k], self._robot.hand))
@@ -291,8 +292,7 @@ class Steered:
         grasper, library = self._grasper(way)
         physics = self._physics(len(places), grasper.dt)
         ran = grasp_all(
-            grasper, library, physics, stacked(known), problem, seed=self._config.seed + first,
-            progress=self._progress,
+            grasper, library, physics, stacked(known), problem, progress=self._progress,
         )  # fmt: skip
         names = [obj.name for obj in self._objects]
         return rows_of(way, places, within, names, ran, grasper, physics, problem)

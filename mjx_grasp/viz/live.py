@@ -194,9 +194,9 @@ class LiveGrasp:
     ) -> Ways | None:
         if library is None:
             return None
-        wanted = Wanted(known, seen(truth), measured.q, tried)
+        wanted = Wanted(known, seen(truth), measured.q, tried, key)
         many = jax.tree.map(lambda leaf: leaf[None], wanted)
-        found = planned(self.grasper, library, many, key, np.arange(1))
+        found = planned(self.grasper, library, many, np.arange(1))
         return jax.block_until_ready(jax.tree.map(lambda leaf: leaf[0], found))
 
     def _replan(self, due: bool) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps import rollout
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, grasp_all
+from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, Trace, grasp_all
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import load_object
@@ -38,6 +39,8 @@ def test_problems_are_drawn_for_each_object_alone(cube, robot):
     np.testing.assert_array_equal(second.object_index, [1] * 5)
     np.testing.assert_array_equal(second.p_wo, alone.p_wo)
     np.testing.assert_array_equal(both.p_wo[5:], alone.p_wo)
+    np.testing.assert_array_equal(both.seed[5:], alone.seed)
+    assert len(np.unique(both.seed)) == 10
     np.testing.assert_array_equal(both.quat[5:], alone.quat)
     assert (both.p_wo[:, 2] > 0).all()
 
@@ -91,6 +94,7 @@ def test_in_mjx_a_cube_is_grasped_as_in_the_native_engine(cube, robot, planning)
         np.float32([[0.5, 0.1, height], [0.55, -0.15, height]]),
         np.repeat(np.float32([cube.resting[0].quat]), 2, axis=0),
         np.zeros((2, 2)),
+        np.arange(2),
     )
     known, scene = known_of([known_object(cube, robot)], problem), build_scene([cube], robot)
     engines = [make_physics(engine, scene, 2, grasper.dt) for engine in ("mujoco", "mjx")]
@@ -113,6 +117,7 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
         np.float32([[0.5, 0.1, height], [0.55, -0.15, height], [0.96, 0.66, height]]),
         np.repeat(np.float32([cube.resting[0].quat]), 3, axis=0),
         np.zeros((3, 2)),
+        np.arange(3),
     )
     physics = NativePhysics(build_scene([cube], robot), grasper.dt)
     known = known_of([known_object(cube, robot)], problem)
@@ -139,6 +144,13 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
     assert record["all"]["success_percent"] == 100.0 and record["all"]["broken"] == 0
     assert sum(record["objects"][cube.name][name] for name in OUTCOMES) == 2
 
+    # In two worlds the third begins where the first has ended, and nothing else is another one's.
+    again, other = grasp_all(grasper, library, physics, known, problem, worlds=2)
+    np.testing.assert_array_equal(other.over, trace.over)
+    np.testing.assert_allclose(other.qpos, trace.qpos, atol=1e-3)
+    np.testing.assert_array_equal(again.replans, end.replans)
+    np.testing.assert_array_equal(again.state.phase, end.state.phase)
+
     # A world that breaks while it lifts ends there, with numbers, and the others do not notice.
     physics = _Breaking(build_scene([cube], robot), grasper.dt)
     both = jax.tree.map(lambda x: x[:2], (known, problem))
@@ -148,6 +160,43 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
     assert first.outcome == "success" and not first.broken
     assert second.broken and second.outcome == "never_lifted" and 0.02 < second.peak_rise_m < 0.06
     assert as_record([first, second])["all"]["broken"] == 1
+
+
+def test_what_is_kept_of_trials_is_each_ones_own_whenever_it_ran():
+    """Five trials in two worlds, of one to four segments: each as if it had run alone."""
+    segments, ticks = (2, 1, 4, 1, 2), rollout._SEGMENT
+    kept, at, following = rollout._Kept(5, 4 * ticks - 3), np.arange(2), 2
+    while (at < 5).any():
+        # Each tick says whose it is and the how manieth; a world without a trial says -1.
+        first = np.where(at < 5, kept.ticks[np.minimum(at, 4)], -1)
+        number = first + np.arange(ticks)[:, None]
+        whose = np.broadcast_to(np.where(at < 5, at, -1), number.shape)
+        marks = np.stack([whose, number], axis=-1).astype(float)
+        kept.add(at, Trace(*[marks] * (len(Trace._fields) - 1), over=number < 0))
+        over = [w for w in (0, 1) if at[w] < 5 and kept.ticks[at[w]] == ticks * segments[at[w]]]
+        for w in over:
+            kept.end(at[[w]], (at[[w]] * 10.0, at[[w], None]))
+            at[w], following = (following, following + 1) if following < 5 else (5, 5)
+    assert kept.share() == 1.0 and kept.most == 4 * ticks
+    np.testing.assert_array_equal(kept.ended[0], np.arange(5) * 10.0)
+    trace, longest = kept.trace(), 4 * ticks
+    ran = np.array(segments) * ticks
+    expected = np.minimum(np.arange(longest)[:, None], ran - 1)
+    np.testing.assert_array_equal(trace.qpos[..., 0], np.tile(np.arange(5), (longest, 1)))
+    np.testing.assert_array_equal(trace.qpos[..., 1], expected)
+    np.testing.assert_array_equal(trace.over, np.arange(longest)[:, None] >= ran)
+
+
+@pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 200])
+def test_parts_are_all_rows_and_of_one_size(count):
+    rows = np.arange(count) + 7
+    parts = rollout._parts(rows)
+    assert all(len(part) == rollout._PART for part in parts)
+    assert len(parts) == -(-count // rollout._PART)
+    if count:
+        found = np.concatenate(parts)
+        np.testing.assert_array_equal(found[:count], rows)
+        assert (found[count:] == rows[-1]).all()
 
 
 def test_what_acts_on_trials_has_headings_all_around_as_drawn(cube, robot):

@@ -32,17 +32,14 @@ class Plans:
 def given():
     values = np.random.default_rng(0).normal(size=(4, WORLDS)).astype(np.float32)
     known, seen, q, tried = map(jnp.asarray, values)
-    wanted = Wanted(known, seen, q[:, None], tried)
-    return Plans(), jnp.float32(0.5), wanted, jax.random.key(3)
+    wanted = Wanted(known, seen, q[:, None], tried, jax.random.split(jax.random.key(3), WORLDS))
+    return Plans(), jnp.float32(0.5), wanted
 
 
-def one_by_one(grasper, library, wanted, key):
-    known, seen, q, tried = wanted
+def one_by_one(grasper, library, wanted):
+    known, seen, q, tried, keys = wanted
     return np.stack(
-        [
-            grasper.plan(library, known[w], seen[w], q[w], jax.random.fold_in(key, w), tried[w])
-            for w in range(WORLDS)
-        ]
+        [grasper.plan(library, known[w], seen[w], q[w], keys[w], tried[w]) for w in range(WORLDS)]
     )
 
 

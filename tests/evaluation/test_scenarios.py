@@ -68,8 +68,8 @@ def tracked(config, steps=30, worlds=2):
     read = jax.jit(track)
     readings = []
     for k in range(1, steps + 1):
-        key = jax.random.fold_in(jax.random.key(0), k)
-        before = read(before, jnp.asarray(p[k]), jnp.asarray(R[k]), key, faults)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(0), k), worlds)
+        before = read(before, jnp.asarray(p[k]), jnp.asarray(R[k]), keys, faults)
         readings.append((before.p_wo, before.R_wo))
     return p[1:], R[1:], *map(np.asarray, zip(*readings, strict=True))
 
@@ -245,8 +245,9 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
     shape = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
     candidates = cylinder_candidates(*shape, robot.hand.span, around=8, along=3)
     problem = GraspProblem(
-        np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]), np.zeros((1, 2))
-    )
+        np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]),
+        np.zeros((1, 2)), np.zeros(1, int),
+    )  # fmt: skip
     known = problems.known_of([Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))], problem)
     for weighed, weight in ((True, 2.0), (False, 0.0)):
         with pytest.raises(BegunError) as begins:
@@ -312,7 +313,8 @@ def row_of(
     incidents = np.array([broken]), np.array([3])
     end = GraspEnd(state, progress, np.array([0]), np.zeros((1, 0, 4)), np.array([hit]), *incidents)
     trace = SimpleNamespace(phase=phase, force=force, rise=np.array(rise)[:, None], over=over)
-    problem = GraspProblem(np.array([0]), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((1, 2)))
+    one = np.array([0])
+    problem = GraspProblem(one, np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((1, 2)), one)
     return grasp_rows(["box"], problem, end, trace, DT)[0]
 
 
@@ -572,7 +574,7 @@ def test_in_mjx_scenarios_of_a_kind_share_a_batch_and_each_has_its_own_rows(quic
         )
 
 
-def test_batches_are_all_cases_those_of_a_kind_together_as_far_as_there_is_room(robot):
+def test_batches_are_all_cases_in_mjx_those_of_a_kind_together(robot):
     cases = list(range(40))
     native, warp = (
         makers(robot, "rubiks_cube", "apple", engine=engine, episodes=500)
@@ -580,9 +582,7 @@ def test_batches_are_all_cases_those_of_a_kind_together_as_far_as_there_is_room(
     )
     assert native.batches(cases, lambda case: case % 2) == [[case] for case in cases]
     found = warp.batches(cases, lambda case: case % 2)
-    assert [case for batch in found for case in batch] == [*cases[::2], *cases[1::2]]
-    trials = 2 * max(sum(block.episodes for block in part) for part in warp.parts())
-    assert max(map(len, found)) * trials <= 8192 and len(found) <= 4
+    assert found == [cases[::2], cases[1::2]]
 
 
 @pytest.mark.parametrize("other", ["seed", "policy", "scenario", "mesh", "revision", "uncommitted"])

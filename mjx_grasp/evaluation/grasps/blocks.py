@@ -29,7 +29,7 @@ class Block(NamedTuple):
     episodes: int
     """of each object"""
     seed: int
-    """of the poses and headings; of plans and noise that of the part's first block"""
+    """of the poses and headings, the plans and the noise"""
 
 
 Part = tuple[Block, ...]

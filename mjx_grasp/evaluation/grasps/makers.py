@@ -32,8 +32,8 @@ MakeGrasper = Callable[[RobotSpec, Approach], Grasper]
 """A controller of a robot as it is mounted, whose palm is to come from somewhere."""
 
 
-_WORLDS = 8192
-"""On a GPU at once, about, if several scenarios share a batch."""
+_WORLDS = 2048
+"""Trials under way at once in MJX: with more a tick takes as much longer."""
 
 Case = TypeVar("Case")
 
@@ -71,7 +71,7 @@ class Makers:
         return parts_of(blocks_of(config.episodes, objects, config.seed), objects, config.engine)
 
     def batches(self, cases: Sequence[Case], kind: Callable[[Case], Hashable]) -> list[list[Case]]:
-        """What is run together: in MJX all of a kind, as far as there is room; else each alone.
+        """What is run together: in MJX all of a kind; else each alone.
 
         Args:
             cases: Scenarios, or what else has trials.
@@ -82,9 +82,7 @@ class Makers:
         by: dict[Hashable, list[Case]] = {}
         for case in cases:
             by.setdefault(kind(case), []).append(case)
-        trials = max(sum(block.episodes for block in part) for part in self.parts())
-        most = max(1, _WORLDS // (trials * len(self.objects(Scenario()))))
-        return [own[k : k + most] for own in by.values() for k in range(0, len(own), most)]
+        return list(by.values())
 
     def check(self, scenario: Scenario, make: MakeGrasper, parts: Sequence[Part]) -> None:
         """Refuses a scenario before anything long starts; arguments as of `run`.
@@ -134,10 +132,11 @@ class Makers:
         problems = [self.problem(scenario, make, part) for scenario in scenarios]
         problem = GraspProblem(*map(np.concatenate, zip(*problems, strict=True)))
         grasper, library = self.grasper(make, like), self.library(make, like)
-        physics = self.physics(like, len(problem.object_index), grasper.dt)
-        known = known_of(self.known(like), problem)
+        count = len(problem.object_index)
+        worlds = min(count, _WORLDS) if self.config.engine == "mjx" else count
+        physics, known = self.physics(like, worlds, grasper.dt), known_of(self.known(like), problem)
         end, trace = grasp_all(
-            grasper, library, physics, known, problem, scenarios, part[0].seed, progress
+            grasper, library, physics, known, problem, scenarios, worlds, progress
         )
         names = [obj.name for obj in self.objects(like)]
         rows = grasp_rows(names, problem, end, trace, grasper.dt)

@@ -28,13 +28,14 @@ class Wanted(NamedTuple):
     """measured joint positions [rad]"""
     tried: Tried
     """see `Grasper.plan`"""
+    key: Array
+    """of what is tried at random"""
 
 
 def planned(
     grasper: Grasper,
     library: Library | None,
     wanted: Wanted,
-    key: Array,
     rows: Int[np.ndarray, " k"],
     together: int | None = None,
 ) -> Ways | None:
@@ -44,13 +45,12 @@ def planned(
         grasper: The controller.
         library: Where its planner starts; None for one without a planner.
         wanted: What is planned for, in all worlds.
-        key: Of what is tried at random.
         rows: The worlds, one at least.
         together: So many are planned for at once; by default what the device does best.
     """
     if library is None:
         return None
-    parts = planned_in_parts(grasper, library, wanted, key, rows, together)
+    parts = planned_in_parts(grasper, library, wanted, rows, together)
     found = [jax.device_get(ways) for _, ways in parts]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *found)
 
@@ -59,7 +59,6 @@ def planned_in_parts(
     grasper: Grasper,
     library: Library,
     wanted: Wanted,
-    key: Array,
     rows: Int[np.ndarray, " k"],
     together: int | None = None,
 ) -> Iterator[tuple[Int[Array, " part"], Ways]]:
@@ -73,31 +72,29 @@ def planned_in_parts(
         some = rows[first : first + together]
         part[: len(some)] = some
         rows_of_part = jnp.asarray(part)
-        own, keys = _own(wanted, key, rows_of_part)
-        yield rows_of_part, _plans(grasper, library, own, keys)
+        yield rows_of_part, _plans(grasper, library, _own(wanted, rows_of_part))
 
 
 @jax.jit
-def _own(wanted: Wanted, key: Array, rows: Int[Array, " part"]) -> tuple[Wanted, Array]:
-    """What some worlds want, and a key for each.
+def _own(wanted: Wanted, rows: Int[Array, " part"]) -> Wanted:
+    """What some worlds want.
 
     Apart from the search, whose compiled function takes minutes on a GPU and so does not depend on
     how many worlds there are.
     """
     rows = jnp.minimum(rows, len(wanted.q) - 1)
-    keys = jax.vmap(partial(jax.random.fold_in, key))(rows)
-    return jax.tree.map(lambda leaf: leaf[rows], wanted), keys
+    return jax.tree.map(lambda leaf: leaf[rows], wanted)
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _plans(grasper: Grasper, library: Library, own: Wanted, keys: Array) -> Ways | None:
-    def of(one: Wanted, key: Array) -> Ways | None:
-        return grasper.plan(library, one.known, one.seen, one.q, key, one.tried)
+def _plans(grasper: Grasper, library: Library, own: Wanted) -> Ways | None:
+    def of(one: Wanted) -> Ways | None:
+        return grasper.plan(library, one.known, one.seen, one.q, one.key, one.tried)
 
-    if len(keys) == 1:  # as of one world: what a batch computes in vain is not computed
-        alone = of(*jax.tree.map(lambda leaf: leaf[0], (own, keys)))
+    if len(own.q) == 1:  # as of one world: what a batch computes in vain is not computed
+        alone = of(jax.tree.map(lambda leaf: leaf[0], own))
         return jax.tree.map(lambda leaf: leaf[None], alone)
-    return jax.vmap(of)(own, keys)
+    return jax.vmap(of)(own)
 
 
 @partial(jax.jit, static_argnames="grasper")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.rollout import GraspProblem
@@ -44,8 +44,8 @@ def draw_problem(
 ) -> GraspProblem:
     """Random poses at rest on the table, as start states are sampled (method §4).
 
-    None is where the robot at home would be in the object. An object's poses depend on the seed,
-    the robot and itself alone.
+    None is where the robot at home would be in the object. An object's poses, and the seeds of its
+    trials, depend on the seed, the robot and itself alone.
 
     Args:
         scene: Robot and objects.
@@ -80,6 +80,10 @@ def draw_problem(
             raise InputError("away", away.distance, "less: the object area ends before [m]")
         raise InputError("object", obj.name, "one with room beside the robot at home")
 
+    def seeds(index: int) -> Int[np.ndarray, " n"]:
+        own = int(scene.objects[index].content_hash[:8], 16)
+        return np.random.default_rng([seed, own, 1]).integers(2**31, size=trials)
+
     places = [poses(index) for index in indices]
     worlds = trials * len(places)
     angles = np.random.default_rng([seed, 2]).uniform(0.0, 2.0 * np.pi, (2, worlds))
@@ -88,6 +92,7 @@ def draw_problem(
         p_wo=np.concatenate([p for p, _ in places]).astype(np.float32),
         quat=np.concatenate([quat for _, quat in places]).astype(np.float32),
         headings=angles.T,
+        seed=np.concatenate([seeds(index) for index in indices]),
     )
 
 

@@ -6,9 +6,10 @@ truth is the judge's alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +44,8 @@ from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped
 
 _SEGMENT = 10
 """Ticks between two looks for worlds that want new plans: the time that planning takes."""
+_PART = 64
+"""Trials that begin, or whose ends are kept, at once."""
 LEAST_S = 9.0
 """Time for which every trial runs: the length of an end-to-end episode (method §6) [s]."""
 
@@ -61,6 +64,8 @@ class GraspProblem(NamedTuple):
     """its rotation, w-x-y-z"""
     headings: Float[np.ndarray, "w 2"]
     """from x about z, of what carries it and of what pushes it, if anything does [rad]"""
+    seed: Int[np.ndarray, " w"]
+    """of the trial's plans and of the tracker's noise in it"""
 
 
 class Trace(NamedTuple):
@@ -103,6 +108,20 @@ class GraspEnd(NamedTuple):
     """in which a contact or constraint did not fit the engine's buffers"""
 
 
+class _Trial(NamedTuple):
+    """What each trial begins with and keeps."""
+
+    known: Known
+    given: Circumstances
+    params: WorldParams
+    qpos: Float[Array, "w nq"]
+    measured: Measured
+    """at rest"""
+    truth: Truth
+    key: Array
+    """two of each trial: of its plans, and of the tracker's noise"""
+
+
 class _Carry(NamedTuple):
     """All that goes from tick to tick."""
 
@@ -114,13 +133,20 @@ class _Carry(NamedTuple):
     track: Track
     belt_began: Float[Array, " w"]
     """+inf before [s]"""
-    key: Array
-    """of the tracker's noise"""
     reference: Float[Array, "w 3"]
     """object origin in the palm frame, followed until lift onset and then kept [m]"""
     progress: Progress
     broken: Bool[Array, " w"]
     overflow_ticks: Int[Array, " w"]
+    plans: Int[Array, " w"]
+    """times that plans were made"""
+
+
+class _Worlds(NamedTuple):
+    """Trials under way, each in a world of its own."""
+
+    of: _Trial
+    carry: _Carry
 
 
 class _Control(NamedTuple):
@@ -130,7 +156,6 @@ class _Control(NamedTuple):
     done: GraspTick
     track: Track
     belt_began: Float[Array, " w"]
-    key: Array
     ctrl: Float[Array, "w nu"]
     """position commands [rad]"""
     wrench: Float[Array, "w 6"]
@@ -152,87 +177,243 @@ def grasp_all(
     known: Known,
     problem: GraspProblem,
     scenarios: Sequence[Scenario] = (Scenario(),),
-    seed: int = 0,
+    worlds: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[GraspEnd, Trace]:
     """Grasps from home, until every trial has ended; none goes on because another one does.
 
+    A world whose trial has ended takes up the next one. Trials know nothing of each other: what
+    comes of one depends neither on the others nor on how many run at once.
+
     Args:
         grasper: The controller.
         library: Where its planner starts; None for one without a planner.
-        physics: Of the scene with all objects of the problem, as many worlds as there are trials.
+        physics: Of the scene with all objects of the problem.
         known: Of each trial's object, stacked.
         problem: Objects and where they are.
         scenarios: What happens meanwhile; by default nothing. Several have equal shares of the
             trials, one after the other, and as many obstacles each.
-        seed: Of the plans and of the tracker's noise.
-        progress: Told which share of the longest possible time is done.
+        worlds: Trials under way at once, as many as the physics has worlds; by default all.
+        progress: Told which share of the work is done, of the longest that it could be.
     """
-    scene, worlds = physics.scene, len(problem.object_index)
-    at, dt, friction = scene.addresses, grasper.dt, scene.config.friction[0]
-    given = _given(grasper, scene, problem, scenarios)
-    known = known._replace(weight=jnp.where(given.weighed, known.weight, 0.0))
-    home = np.asarray(grasper.reacher.body.home, np.float32)
-    qpos = np.zeros((worlds, scene.model.nq), np.float32)
-    qpos[:, at.robot_qpos] = home
-    qpos[:, at.object_qpos] = np.concatenate([problem.p_wo, problem.quat], axis=1)
-    params = make_params(jnp.asarray(problem.object_index), friction, given.mass_scale)
-    measured, truth = at_rest(scene, qpos, physics.substeps)
-    order = np.argsort(at.robot_ctrl)
-    ctrl = jnp.broadcast_to(jnp.asarray(home[order]), (worlds, len(home)))
+    count, dt = len(problem.object_index), grasper.dt
+    worlds = min(worlds or count, count)
+    trials = _trials(grasper, physics, known, problem, scenarios)
+    scene, given = physics.scene, trials.given
+    rollout = _Rollout(grasper, library, physics, trials)
+    longest = grasper.config.timeout_s + max(each.hold_s for each in scenarios) + 2.0
+    kept = _Kept(count, round(longest / dt))
+    at = np.arange(worlds)
+    """the trial of each world; the number of all where none is left"""
+    running = rollout.begun(at)
+    following = worlds
+    while (at < count).any():
+        running, ticks, over = rollout.segment(running)
+        kept.add(at, ticks)
+        over |= kept.ticks[np.minimum(at, count - 1)] >= kept.most
+        ended = np.flatnonzero(over & (at < count))
+        if len(ended):
+            kept.end(at[ended], rollout.ends(running, ended))
+            at[ended] = count
+            new = ended[: count - following]
+            at[new] = following + np.arange(len(new))
+            following += len(new)
+            running = rollout.taken_up(running, new, at[new])
+        due = np.flatnonzero(np.asarray(running.carry.due) & (at < count))
+        if len(due):
+            running = rollout.replanned(running, due)
+        progress(kept.share())
+    (grasp, judged, plans, *incidents), trace = kept.ended, kept.trace()
+    obstacles = np.asarray(given.obstacles)
+    hit = hits(scene.robot, np.asarray(trace.qpos)[:, :, scene.addresses.robot_qpos], obstacles)
+    return GraspEnd(grasp, judged, plans - 1, obstacles, hit, *incidents), trace
 
-    key, noise = jax.random.split(jax.random.key(seed))
-    first = jax.random.fold_in(noise, 0)
-    tracked = track(start_track(*_pose(truth), dt), *_pose(truth), first, given.faults)
-    seen = _seen(tracked, truth, given)
-    wanted = Wanted(known, seen, measured.q, Tried.nothing(worlds))
-    plans = planned(grasper, library, wanted, key, np.arange(worlds))
-    grasp = _start(grasper, measured, known, seen, plans)
-    carry = _Carry(
-        physics=physics.init(jnp.asarray(qpos), ctrl),
+
+class _Kept:
+    """What is kept of trials that run at different times, each from its own first tick on."""
+
+    def __init__(self, count: int, most: int):
+        self.most = math.ceil(most / _SEGMENT) * _SEGMENT
+        """ticks that a trial can have"""
+        self.ticks = np.zeros(count, int)
+        """that each one has had"""
+        self.ended: Any = None
+        """of each trial, once it has ended"""
+        self._done = np.zeros(count, bool)
+        self._trace: Any = None
+
+    def add(self, at: Int[np.ndarray, " w"], ticks: Trace) -> None:
+        """What happened in a segment in the worlds of these trials."""
+        count, there = len(self.ticks), np.flatnonzero(at < len(self.ticks))
+        if self._trace is None:
+            shape = self.most, count
+            self._trace = jax.tree.map(lambda x: np.empty((*shape, *x.shape[2:]), x.dtype), ticks)
+        own = at[there]
+        rows = self.ticks[own] + np.arange(_SEGMENT)[:, None]
+        for whole, some in zip(self._trace, ticks, strict=True):
+            whole[rows, own] = some[:, there]
+        self.ticks[own] += _SEGMENT
+
+    def end(self, trials: Int[np.ndarray, " k"], ends: Any) -> None:
+        """How trials ended; their states."""
+        if self.ended is None:
+            count = len(self.ticks)
+            self.ended = jax.tree.map(lambda x: np.empty((count, *x.shape[1:]), x.dtype), ends)
+        for whole, some in zip(*map(jax.tree.leaves, (self.ended, ends)), strict=True):
+            whole[trials] = some
+        self._done[trials] = True
+
+    def share(self) -> float:
+        """How much is done, if all that is not over takes as long as it can."""
+        return float(np.where(self._done, self.most, self.ticks).mean()) / self.most
+
+    def trace(self) -> Trace:
+        """Of all trials, as long as the longest; after a trial's end all stays as it was."""
+        tick, trial = np.arange(self.ticks.max())[:, None], np.arange(self.ticks.size)
+        row = np.minimum(tick, self.ticks - 1)
+        found: Trace = jax.tree.map(lambda whole: whole[row, trial], self._trace)
+        return found._replace(over=found.over | (tick >= self.ticks))
+
+
+class _Rollout:
+    """Trials under way, and those that begin."""
+
+    def __init__(self, grasper: Grasper, library: Library | None, physics: Physics, trials: _Trial):
+        self._grasper, self._library, self._physics = grasper, library, physics
+        self._trials = trials
+        self._order = jnp.asarray(np.argsort(physics.scene.addresses.robot_ctrl))
+
+    def taken_up(
+        self, running: _Worlds, worlds: Int[np.ndarray, " k"], trials: Int[np.ndarray, " k"]
+    ) -> _Worlds:
+        """Trials begin in worlds in which others have ended."""
+        for some, own in zip(_parts(worlds), _parts(trials), strict=True):
+            # What fills up a part begins once more where it has begun.
+            running = _put(running, self.begun(own), jnp.asarray(some))
+        return running
+
+    def begun(self, trials: Int[np.ndarray, " k"]) -> _Worlds:
+        """Trials begin, each in a world of its own."""
+        of = _rows(self._trials, trials)
+        tracked = _first_look(of, self._grasper.dt)
+        seen, q = _seen(tracked, of.truth, of.given), of.measured.q
+        wanted = Wanted(of.known, seen, q, Tried.nothing(len(q)), _plan_keys(of.key, 0))
+        different, same = np.unique(trials, return_index=True, return_inverse=True)[1:]
+        ways = planned(self._grasper, self._library, wanted, different)
+        ways = jax.tree.map(lambda leaf: leaf[same], ways)
+        grasp = _start(self._grasper, of.measured, of.known, seen, ways)
+        ctrl = of.qpos[:, self._physics.scene.addresses.robot_qpos][:, self._order]
+        carry = _Carry(
+            physics=self._physics.init(of.qpos, ctrl),
+            measured=of.measured,
+            truth=of.truth,
+            grasp=grasp,
+            due=jnp.zeros(len(q), bool),
+            track=tracked,
+            belt_began=jnp.full(len(q), jnp.inf, jnp.float32),
+            reference=in_palm(of.measured, of.truth),
+            progress=initial_progress((len(q),)),
+            broken=jnp.zeros(len(q), bool),
+            overflow_ticks=jnp.zeros(len(q), jnp.int32),
+            plans=jnp.ones(len(q), jnp.int32),
+        )
+        return _Worlds(of, carry)
+
+    def segment(self, running: _Worlds) -> tuple[_Worlds, Trace, Bool[np.ndarray, " w"]]:
+        """Some ticks later: what happened in them, and which trials are over."""
+        of, carry, ticks = running.of, running.carry, []
+        for _ in range(_SEGMENT):
+            sent = _controlled(self._grasper, carry, of, self._order)
+            stepped = _stepped(self._physics, carry.physics, of.params, sent)
+            carry, tick = _judged(self._grasper, carry, sent, stepped, of)
+            ticks.append(tick)
+        found = jax.tree.map(lambda *leaves: np.stack(leaves), *jax.device_get(ticks))
+        return _Worlds(of, carry), found, np.array(_over(carry, of.given.hold_s))
+
+    def replanned(self, running: _Worlds, due: Int[np.ndarray, " k"]) -> _Worlds:
+        """With new plans where they are due."""
+        assert self._library is not None  # plans are due of none without a planner
+        of, carry = running
+        now = _smoothed(carry, of.given)
+        state, keys = carry.grasp, _plan_keys(of.key, carry.plans)
+        wanted = Wanted(of.known, now, carry.measured.q, state.tried, keys)
+        for rows, ways in planned_in_parts(self._grasper, self._library, wanted, due):
+            state = with_plans(self._grasper, state, ways, rows)
+        made = np.bincount(due, minlength=len(carry.due))
+        carry = carry._replace(grasp=state, due=carry.due & (made == 0), plans=carry.plans + made)
+        return _Worlds(of, carry)
+
+    def ends(self, running: _Worlds, worlds: Int[np.ndarray, " k"]) -> Any:
+        """How trials ended."""
+        carry = running.carry
+        ends = carry.grasp, carry.progress, carry.plans, carry.broken, carry.overflow_ticks
+        found = [jax.device_get(_rows(ends, some)) for some in _parts(worlds)]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(worlds)], *found)
+
+
+def _parts(rows: Int[np.ndarray, " k"]) -> list[Int[np.ndarray, " part"]]:
+    """Rows, some at a time, as many as compiled functions are made for; the last fills up."""
+    size = _PART * math.ceil(len(rows) / _PART)
+    filled = rows[np.minimum(np.arange(size), len(rows) - 1)]
+    return np.split(filled, size // _PART) if size else []
+
+
+def _rows(tree: Tree, rows: Int[np.ndarray, " k"]) -> Tree:
+    """Some worlds or trials of all."""
+    return _taken(tree, jnp.asarray(rows))
+
+
+_taken = jax.jit(lambda tree, rows: jax.tree.map(lambda leaf: leaf[rows], tree))
+
+
+@jax.jit
+def _put(running: _Worlds, new: _Worlds, worlds: Int[Array, " k"]) -> _Worlds:
+    return jax.tree.map(lambda old, some: old.at[worlds].set(some), running, new)
+
+
+@partial(jax.jit, static_argnames="dt")
+def _first_look(of: _Trial, dt: float) -> Track:
+    before = start_track(*_pose(of.truth), dt)
+    return track(before, *_pose(of.truth), _noise_keys(of.key, 0), of.given.faults)
+
+
+@jax.jit
+def _smoothed(carry: _Carry, given: Circumstances) -> Seen:
+    return jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
+
+
+def _plan_keys(keys: Array, number: Int[Array, " w"] | int) -> Array:
+    return jax.vmap(jax.random.fold_in)(keys[:, 0], jnp.broadcast_to(number, len(keys)))
+
+
+def _noise_keys(keys: Array, tick: Int[Array, " w"] | int) -> Array:
+    return jax.vmap(jax.random.fold_in)(keys[:, 1], jnp.broadcast_to(tick, len(keys)))
+
+
+def _trials(
+    grasper: Grasper,
+    physics: Physics,
+    known: Known,
+    problem: GraspProblem,
+    scenarios: Sequence[Scenario],
+) -> _Trial:
+    """All trials as they begin."""
+    scene, count = physics.scene, len(problem.object_index)
+    at, given = scene.addresses, _given(grasper, scene, problem, scenarios)
+    qpos = np.zeros((count, scene.model.nq), np.float32)
+    qpos[:, at.robot_qpos] = np.asarray(grasper.reacher.body.home, np.float32)
+    qpos[:, at.object_qpos] = np.concatenate([problem.p_wo, problem.quat], axis=1)
+    measured, truth = at_rest(scene, qpos, physics.substeps)
+    friction, index = scene.config.friction[0], jnp.asarray(problem.object_index)
+    return _Trial(
+        known=known._replace(weight=jnp.where(given.weighed, known.weight, 0.0)),
+        given=given,
+        params=make_params(index, friction, given.mass_scale),
+        qpos=jnp.asarray(qpos),
         measured=measured,
         truth=truth,
-        grasp=grasp,
-        due=jnp.zeros(worlds, bool),
-        track=tracked,
-        belt_began=jnp.full(worlds, jnp.inf, jnp.float32),
-        key=noise,
-        reference=in_palm(measured, truth),
-        progress=initial_progress((worlds,)),
-        broken=jnp.zeros(worlds, bool),
-        overflow_ticks=jnp.zeros(worlds, jnp.int32),
+        key=jax.vmap(jax.random.split)(jax.vmap(jax.random.key)(jnp.asarray(problem.seed))),
     )
-    about = jnp.asarray(order), jnp.asarray(problem.p_wo[:, 2])
-    replans, ticks = np.zeros(worlds, int), []
-    longest = grasper.config.timeout_s + max(each.hold_s for each in scenarios) + 2.0
-    for number in range(round(longest / dt / _SEGMENT)):
-        for _ in range(_SEGMENT):
-            sent = _controlled(grasper, carry, known, given, *about)
-            stepped = _stepped(physics, carry.physics, params, sent)
-            carry, tick = _judged(grasper, carry, sent, stepped, about[1])
-            ticks.append(tick)
-        ticks[-_SEGMENT:] = jax.device_get(ticks[-_SEGMENT:])
-        progress(number * _SEGMENT * dt / longest)
-        over = np.asarray(_over(carry, given.hold_s))
-        if np.all(over):
-            break
-        due = np.flatnonzero(carry.due & ~over)
-        if len(due):
-            assert library is not None  # plans are due of none without a planner
-            key = jax.random.fold_in(key, number)
-            now = jax.vmap(smoothed)(_seen(carry.track, carry.truth, given), carry.grasp.pose)
-            state = carry.grasp
-            wanted = Wanted(known, now, carry.measured.q, state.tried)
-            for rows, ways in planned_in_parts(grasper, library, wanted, key, due):
-                state = with_plans(grasper, state, ways, rows)
-            carry = carry._replace(grasp=state, due=jnp.zeros(worlds, bool))
-            replans[due] += 1
-    grasp, judged = jax.tree.map(np.asarray, (carry.grasp, carry.progress))
-    incidents = np.asarray(carry.broken), np.asarray(carry.overflow_ticks)
-    trace = jax.tree.map(lambda *leaves: np.stack(leaves), *ticks)
-    obstacles = np.asarray(given.obstacles)
-    hit = hits(scene.robot, trace.qpos[:, :, at.robot_qpos], obstacles)
-    return GraspEnd(grasp, judged, replans, obstacles, hit, *incidents), trace
 
 
 def _given(
@@ -257,25 +438,24 @@ def _start(
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _controlled(
-    grasper: Grasper, carry: _Carry, known: Known, given: Circumstances, order: Int[Array, " n"],
-    base: Float[Array, " w"],
-) -> _Control:  # fmt: skip
+def _controlled(grasper: Grasper, carry: _Carry, of: _Trial, order: Int[Array, " n"]) -> _Control:
     """What is sent to the robots, and acts on the objects, until the next tick."""
-    key, noise = jax.random.split(carry.key)
-    tracked = track(carry.track, *_pose(carry.truth), noise, given.faults)
+    known, given = of.known, of.given
+    tick = 1 + jnp.round(carry.grasp.clock / grasper.dt).astype(jnp.int32)
+    keys = _noise_keys(of.key, tick)
+    tracked = track(carry.track, *_pose(carry.truth), keys, given.faults)
     seen = _seen(tracked, carry.truth, given)
     grasp, done = grasper.ticks(carry.grasp, carry.measured, known, seen)
     began = belt_start(carry.belt_began, grasp.clock, done.tip_error, given.belt)
     p_wo, R_wo = _pose(carry.truth)
     velocity, height = carry.truth.object_vel[:, :3], (p_wo + turned(R_wo, known.com))[:, 2]
-    since = grasp.clock - began
-    wrench = belt_wrench(given, velocity, p_wo[:, 2] - base, height, since)
+    since, rise = grasp.clock - began, p_wo[:, 2] - of.truth.object_pos[:, 2]
+    wrench = belt_wrench(given, velocity, rise, height, since)
     holds = grasp.phase == Phase.HOLDING
     held = jnp.where(holds, grasp.clock - grasp.entered[:, Phase.HOLDING], jnp.nan)
     wrench += push_wrench(given, held)
     over = _over(carry, given.hold_s)
-    return _Control(grasp, done, tracked, began, key, done.target[:, order], wrench, over)
+    return _Control(grasp, done, tracked, began, done.target[:, order], wrench, over)
 
 
 @partial(jax.jit, static_argnames="physics")
@@ -295,7 +475,7 @@ def _judged(
     carry: _Carry,
     sent: _Control,
     stepped: tuple[PhysicsState, Measured, Truth],
-    base: Float[Array, " w"],
+    of: _Trial,
 ) -> tuple[_Carry, Trace]:
     """All that goes on to the next tick, and what is kept of this one."""
     success, closer, dt = SuccessConfig(), grasper.closer, grasper.dt
@@ -303,13 +483,14 @@ def _judged(
     here = in_palm(measured, truth)
     before, lifting = (state.closing.closer.lifting for state in (carry.grasp, grasp))
     reference, slip = slipped(carry.reference, before, lifting, here)
+    base = of.truth.object_pos[:, 2]
     rise = truth.object_pos[:, 2] - base
     judged = update_progress(carry.progress, rise, slip, lifting, success, dt)
     due = carry.due | sent.done.plans_due
     full = carry.overflow_ticks + truth.overflow
     went_on = _Carry(
-        state, measured, truth, grasp, due, sent.track, sent.belt_began, sent.key, reference,
-        judged, carry.broken, full,
+        state, measured, truth, grasp, due, sent.track, sent.belt_began, reference, judged,
+        carry.broken, full, carry.plans,
     )  # fmt: skip
     finite = jnp.isfinite(state.qpos).all(-1) & jnp.isfinite(state.qvel).all(-1)
     after = _where(over | ~finite, carry, went_on)
@@ -352,11 +533,9 @@ def _over(carry: _Carry, hold_s: Float[Array, " w"]) -> Bool[Array, " w"]:
 
 
 def _where(mask: Bool[Array | np.ndarray, " w"], first: Tree, other: Tree) -> Tree:
-    """World by world one or the other of two trees; what is of no world is the other's."""
+    """World by world one or the other of two trees."""
 
     def chosen(a: Array, b: Array) -> Array:
-        if not b.ndim:
-            return b
         return jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
     return jax.tree.map(chosen, first, other)

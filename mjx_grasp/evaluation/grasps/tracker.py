@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ def track(
     before: Track,
     p_wo: Float[Array, "w 3"],
     R_wo: Float[Array, "w 3 3"],
-    key: Array,
+    keys: Array,
     faults: Faults,
 ) -> Track:
     """What it says of each world a tick later; exactly the truth if there are no faults.
@@ -75,21 +76,22 @@ def track(
         before: From `start_track` or the last reading.
         p_wo: True object origins now [m].
         R_wo: True rotations now.
-        key: Of the noise and of what is lost.
+        keys: Of each world, for the noise and for what is lost.
         faults: The tracker's.
     """
     late_pos = jnp.concatenate([p_wo[:, None], before.late_pos[:, :-1]], axis=1)
     late_mat = jnp.concatenate([R_wo[:, None], before.late_mat[:, :-1]], axis=1)
-    moved, turned, lost = jax.random.split(key, 3)
+    moved, turned, lost = jnp.moveaxis(jax.vmap(partial(jax.random.split, num=3))(keys), 1, 0)
+    noise = jax.vmap(partial(jax.random.normal, shape=(3,)))
     worlds = jnp.arange(len(p_wo))
     faults = jax.tree.map(lambda x: jnp.broadcast_to(x, worlds.shape), faults)
-    off = faults.position[:, None] * jax.random.normal(moved, p_wo.shape)
+    off = faults.position[:, None] * noise(moved)
     p = late_pos[worlds, faults.age] + off
-    off = faults.rotation[:, None] * jax.random.normal(turned, p_wo.shape)
+    off = faults.rotation[:, None] * noise(turned)
     R = late_mat[worlds, faults.age] @ jax.vmap(so3.exp)(off)
     since = before.since + 1
     due = since >= faults.period
-    gone = ~due | jax.random.bernoulli(lost, faults.dropout, (len(p_wo),))
+    gone = ~due | jax.vmap(jax.random.bernoulli)(lost, faults.dropout)
     return Track(
         late_pos,
         late_mat,

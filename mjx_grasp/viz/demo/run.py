@@ -128,9 +128,8 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             known = [known_object(obj, robot, steered.heatmap, score)]
             physics = NativePhysics(scene, grasper.dt, threads=1)
             end, trace = grasp_all(
-                grasper, library, physics, known_of(known, problem), problem, [scenario],
-                config.seed,
-            )  # fmt: skip
+                grasper, library, physics, known_of(known, problem), problem, [scenario]
+            )
         (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)

@@ -117,7 +117,8 @@ class Part:
     commands: tuple[str, ...]
     """relative to the repository; `SCANS` stands for the folder of scans, `CORES` for the number of
     cores, `SHARERS` for that of processes that share a GPU, or without one the cores; `TRIALS:56`
-    for as many trials as published in MJX on a GPU, or without one 56 in native MuJoCo"""
+    for as many trials as published in MJX on a GPU, or without one 56 in native MuJoCo; `GRASPS`
+    for whole grasps in MJX on a GPU that some processes share, or in native MuJoCo"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
 
@@ -138,7 +139,7 @@ PARTS = (
         (
             "experiments/steering_figure.py --objects-dir SCANS",
             "experiments/steering_numbers.py --objects-dir SCANS",
-            "experiments/steered_grasps.py --objects-dir SCANS --processes CORES",
+            "experiments/steered_grasps.py --objects-dir SCANS GRASPS",
         ),
     ),
     Part(
@@ -224,7 +225,7 @@ PARTS = (
         "sensitivity",
         "success where friction, mass, finger stiffness or torque limits are not as modelled",
         (
-            "experiments/sensitivity.py --objects-dir SCANS --processes CORES",
+            "experiments/sensitivity.py --objects-dir SCANS TRIALS:16",
             "experiments/sensitivity_figure.py",
         ),
     ),
@@ -239,23 +240,22 @@ PARTS = (
         (
             "-m mjx_grasp.scenarios --objects-dir SCANS --objects train held_out "
             "--scenarios nominal --episodes 64 --seed 9 "
-            "--processes SHARERS --out experiments/results/grasps_all.json",
+            "GRASPS --out experiments/results/grasps_all.json",
             "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
-            "--processes SHARERS --out experiments/results/scenarios.json",
+            "GRASPS --out experiments/results/scenarios.json",
         ),
     ),
     Part(
         "ablation",
         "whole grasps without one part of the method each, and a policy that only knows its budget",
         (
-            "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 16 "
-            "--processes SHARERS",
+            "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 16 GRASPS",
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
             "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --keeping-gain 0 --squeeze-forces "
             "--episodes 128 --processes CORES --out experiments/results/not_kept/eight.json",
             "experiments/pipeline_ablation.py --objects-dir SCANS --objects bowl toy_airplane "
             "pitcher_base mug cracker_box --variants full sideways walls-alike --scenarios nominal "
-            "--episodes 24 --processes SHARERS "
+            "--episodes 24 GRASPS "
             "--out experiments/results/pipeline_ablation_walls.json",
         ),
     ),
@@ -295,8 +295,12 @@ PARTS = (
 )
 LAST = "experiments/make_readme.py"
 _TRIALS = "TRIALS:"
+_IN_MJX = "--engine", "mjx"
+_GRASPS = "GRASPS"
 _CORES_EACH = 2
 """Of processes that share a GPU: each compiles for minutes on one core, and then steps on all."""
+_CORES_EACH_IN_MJX = 4
+"""The same where the GPU steps too, which a few processes keep busy."""
 
 
 @dataclass(frozen=True)
@@ -440,10 +444,13 @@ def worded(command: str, scans: Path) -> list[str]:
     words = []
     for word in shlex.split(command):
         few = word.removeprefix(_TRIALS)
-        if few == word:
+        if word == _GRASPS:
+            beside = max(1, cores // _CORES_EACH_IN_MJX) if gpu else cores
+            words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
+        elif few == word:
             words.append(given.get(word, word))
         elif gpu:
-            words += ["--engine", "mjx", "--episodes", str(EPISODES)]
+            words += [*_IN_MJX, "--episodes", str(EPISODES)]
         else:
             words += ["--episodes", few, "--processes", str(cores)]
     return words
@@ -460,7 +467,8 @@ def _run(command: str, scans: Path, console: Console) -> None:
     (ROOT / FOLDER).mkdir(parents=True, exist_ok=True)  # commands write there
     # Processes that share all cores would only wait for each other on one GPU.
     env = os.environ | ({"JAX_PLATFORMS": "cpu"} if "CORES" in command else {})
-    env |= {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if "SHARERS" in command else {}
+    shared = any(word in command for word in ("SHARERS", _GRASPS))
+    env |= {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if shared else {}
     code = subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=False).returncode
     if code:
         raise MjxGraspError(

@@ -135,6 +135,8 @@ def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path
         (True, "CORES", 10, "cpu", None),
         (False, "SHARERS", 10, None, "false"),
         (True, "SHARERS", 5, None, "false"),
+        (False, "GRASPS", 10, None, "false"),
+        (True, "GRASPS", 2, None, "false"),
         (True, "SCANS", ".", None, None),
     ],
 )
@@ -153,7 +155,8 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
         return SimpleNamespace(returncode=0)
 
     monkeypatch.setattr(module.subprocess, "run", run)
-    module._run(f"x.py --processes {word}", tmp_path, Console(quiet=True))
+    asked = word if word == "GRASPS" else f"--processes {word}"
+    module._run(f"x.py {asked}", tmp_path, Console(quiet=True))
     ((last, env),) = began
     assert last == str(processes)
     assert env.get("JAX_PLATFORMS") == platforms
@@ -171,6 +174,15 @@ def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
     ):
         monkeypatch.setattr(module, "has_gpu", lambda gpu=gpu: gpu)
         found = module.worded("x.py TRIALS:56 --out y", tmp_path)
+        assert found == ["x.py", *words.split(), "--out", "y"]
+
+
+def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):
+    module = paper.module
+    monkeypatch.setattr(module, "usable_cores", lambda: 16)
+    for gpu, words in ((True, "--engine mjx --processes 4"), (False, "--processes 16")):
+        monkeypatch.setattr(module, "has_gpu", lambda gpu=gpu: gpu)
+        found = module.worded("x.py GRASPS --out y", tmp_path)
         assert found == ["x.py", *words.split(), "--out", "y"]
 
 

@@ -28,8 +28,8 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.config import ClosingController
 from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
-from mjx_grasp.evaluation.grasps.rollout import GraspProblem
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects

@@ -30,10 +30,12 @@ from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
 from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem, Trace, grasp_all
+from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned, turned_back
 from mjx_grasp.grasp.candidates import vertex_candidates

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.grasps import rollout
+from mjx_grasp.evaluation.grasps import worlds
+from mjx_grasp.evaluation.grasps.kept import SEGMENT, Kept, Trace
 from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspProblem, Trace, grasp_all
+from mjx_grasp.evaluation.grasps.rollout import grasp_all
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
+from mjx_grasp.evaluation.grasps.worlds import LEAST_S
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import load_object
@@ -164,8 +167,8 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
 
 def test_what_is_kept_of_trials_is_each_ones_own_whenever_it_ran():
     """Five trials in two worlds, of one to four segments: each as if it had run alone."""
-    segments, ticks = (2, 1, 4, 1, 2), rollout._SEGMENT
-    kept, at, following = rollout._Kept(5, 4 * ticks - 3), np.arange(2), 2
+    segments, ticks = (2, 1, 4, 1, 2), SEGMENT
+    kept, at, following = Kept(5, 4 * ticks - 3), np.arange(2), 2
     while (at < 5).any():
         # Each tick says whose it is and the how manieth; a world without a trial says -1.
         first = np.where(at < 5, kept.ticks[np.minimum(at, 4)], -1)
@@ -190,9 +193,9 @@ def test_what_is_kept_of_trials_is_each_ones_own_whenever_it_ran():
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 200])
 def test_parts_are_all_rows_and_of_one_size(count):
     rows = np.arange(count) + 7
-    parts = rollout._parts(rows)
-    assert all(len(part) == rollout._PART for part in parts)
-    assert len(parts) == -(-count // rollout._PART)
+    parts = worlds._parts(rows)
+    assert all(len(part) == worlds._PART for part in parts)
+    assert len(parts) == -(-count // worlds._PART)
     if count:
         found = np.concatenate(parts)
         np.testing.assert_array_equal(found[:count], rows)

@@ -18,14 +18,14 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps import circumstances, job, problems, rollout
+from mjx_grasp.evaluation.grasps import circumstances, job, problems, rollout, worlds
 from mjx_grasp.evaluation.grasps.blocks import Block
 from mjx_grasp.evaluation.grasps.config import ScenariosConfig
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
+from mjx_grasp.evaluation.grasps.kept import GraspEnd
 from mjx_grasp.evaluation.grasps.makers import Makers
 from mjx_grasp.evaluation.grasps.results import grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspEnd, GraspProblem
 from mjx_grasp.evaluation.grasps.run import closing_policy
 from mjx_grasp.evaluation.grasps.scenario import (
     BeltConfig,
@@ -38,6 +38,7 @@ from mjx_grasp.evaluation.grasps.scenario import (
 )
 from mjx_grasp.evaluation.grasps.tables import scenario_table
 from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
@@ -240,7 +241,7 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
     def begun(grasper, measured, known, seen, ways):
         raise BegunError(float(known.weight[0]), ways)
 
-    monkeypatch.setattr(rollout, "_start", begun)
+    monkeypatch.setattr(worlds, "_start", begun)
     grasper = grasper_of(robot, reaching=whole_grasps("paper"))
     shape = Cylinder(jnp.float32(0.03), jnp.float32(0.06))
     candidates = cylinder_candidates(*shape, robot.hand.span, around=8, along=3)
@@ -274,9 +275,9 @@ def test_a_trial_is_over_once_it_has_ended_and_had_its_time():
     entered[:, Phase.HOLDING] = top
     state = SimpleNamespace(phase=phase, clock=clock, entered=entered)
     whole = SimpleNamespace(grasp=state, broken=np.zeros(len(cases), bool))
-    np.testing.assert_array_equal(rollout._over(whole, 1.0), over)
+    np.testing.assert_array_equal(worlds._over(whole, 1.0), over)
     whole.broken[2] = True
-    assert rollout._over(whole, 1.0)[2], "and what is broken is over at once"
+    assert worlds._over(whole, 1.0)[2], "and what is broken is over at once"
 
 
 @pytest.mark.wrong_types

@@ -13,8 +13,9 @@ from mjx_grasp.evaluation.grasps.blocks import Block, Part, blocks_of, parts_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspProblem, grasp_all, home_tips
+from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.scenario import Scenario
+from mjx_grasp.evaluation.grasps.trials import GraspProblem, home_tips
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.pipeline.assemble import check_graspable, known_objects

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.evaluation.grasps.rollout import GraspProblem
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.pipeline.state import Known

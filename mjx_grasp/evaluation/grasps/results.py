@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mjx_grasp.evaluation.grasps.rollout import LEAST_S, GraspEnd, GraspProblem, Trace
+from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
+from mjx_grasp.evaluation.grasps.trials import GraspProblem
+from mjx_grasp.evaluation.grasps.worlds import LEAST_S
 from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.tasks.config import SuccessConfig

@@ -18,11 +18,13 @@ from rich.progress import Progress
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
-from mjx_grasp.evaluation.grasps.rollout import GraspEnd, Trace, grasp_all, home_tips
+from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL, Scenario, load_scenario
+from mjx_grasp.evaluation.grasps.trials import home_tips
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to

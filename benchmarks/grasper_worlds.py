@@ -27,9 +27,9 @@ from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.config import ClosingController
 from mjx_grasp.evaluation.grasps.plans import Wanted, planned, planned_in_parts, with_plans
-from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
-from mjx_grasp.evaluation.grasps.trials import GraspProblem
+from mjx_grasp.evaluation.grasps.trials import GraspProblem, stacked
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
@@ -105,7 +105,8 @@ def main(config: WorldsBenchmarkConfig) -> None:
     scene = build_scene(objects, robot, settings)
     physics = make_physics(config.engine, scene, config.worlds, grasper.dt)
     problem = draw_problem(scene, config.worlds // len(objects), config.seed)
-    known = known_of(known_objects(objects, robot), problem)
+    of_each = stacked(known_objects(objects, robot))
+    known = jax.tree.map(lambda leaf: leaf[problem.object_index], of_each)
     measurements = _run(config, grasper, physics, known, problem, console)
     record = {
         "schema": "mjx_grasp.grasper_worlds/1",

@@ -23,7 +23,7 @@ from trimesh import Trimesh, creation
 
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
@@ -115,7 +115,7 @@ def main(config: ForeignConfig) -> None:
         problem = draw_problem(physics.scene, 1, config.seed)
         job = bar.add_task("grasps", total=1.0)
         end, trace = grasp_all(
-            grasper, library, physics, known_of(known, problem), problem,
+            grasper, library, physics, known, problem,
             progress=lambda share: bar.update(job, completed=share),
         )  # fmt: skip
     ends = grasp_rows([obj.name for obj in objects], problem, end, trace, grasper.dt)

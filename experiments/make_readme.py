@@ -153,9 +153,6 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "grasps": stage_tables.whole_grasps(scenarios),
             "grasps-all": stage_tables.grasps_by_split(folder / "grasps_all.json"),
-            "grasps-light": stage_tables.grasps_made_later(
-                folder / "grasps_light.json", folder / "grasps_all.json"
-            ),
             "scenarios": stage_tables.scenarios(every_scenario),
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"

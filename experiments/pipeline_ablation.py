@@ -1,6 +1,6 @@
 """What each part of the method contributes to whole grasps: the full system without one thing.
 
-Objects lie at random on the table and are grasped from home in native MuJoCo. The full system is
+Objects lie at random on the table and are grasped from home in MuJoCo. The full system is
 the shipped policy with a force budget on top of planned reaching; every variant leaves out one part
 of it, or takes the published one instead, and has the same poses and draws. The selection has no
 setting by which it would choose once only: while a plan is followed its candidate stays the best,
@@ -32,7 +32,7 @@ from mjx_grasp.closing.config import REACTING, CloserConfig, GripConfig
 from mjx_grasp.closing.learned import LearnedPolicy
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.blocks import Part, joined
-from mjx_grasp.evaluation.grasps.config import GraspsConfig
+from mjx_grasp.evaluation.grasps.config import GraspsConfig, warn_without_gpu
 from mjx_grasp.evaluation.grasps.makers import MakeGrasper, Makers, compiled_for
 from mjx_grasp.evaluation.grasps.run import loaded_policy
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
@@ -302,6 +302,7 @@ def main(config: PipelineAblationConfig) -> None:
     check_writable("--out", config.out)
     scenarios, made = load_scenarios(config.scenarios), provenance(config.seed)
     console = Console(stderr=True)
+    warn_without_gpu(config.engine, console)
     with counting_progress(console) as bar:
         one = bar.add_task("", total=_PERCENT, visible=config.alone)
         systems = Systems(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))

@@ -284,27 +284,6 @@ def grasps_by_split(path: Path) -> str:
     return f"{whole_grasps(path)}\n\n" + "\n".join(lines)
 
 
-def grasps_made_later(path: Path, before: Path) -> str:
-    """Grasps from home of some objects, and the sum over all of training with them.
-
-    Args:
-        path: Of some of the objects.
-        before: Of all, as many trials of each; those of the others count.
-    """
-    later, every = read(path), read(before)
-    if later is None or every is None:
-        return NOTHING
-    new, old = (record["scenarios"][NOMINAL]["rows"] for record in (later, every))
-    again = {row["object"] for row in new}
-    rows = [*new, *(row for row in old if row["object"] not in again)]
-    trained = [row for row in rows if row["object"] in groups()["train"]]
-    held = [row for row in trained if row["outcome"] == "success"]
-    return (
-        f"{whole_grasps(path)}\n\nWith the other objects of training as they were: "
-        f"{_share(held, trained)} of {len(trained)} lifted and held."
-    )
-
-
 def _refused(row: dict[str, Any]) -> bool:
     """Whether a trial ended for want of a way; one lost after the lift may find none either."""
     return row["outcome"] == "not_reached" and row["failure"] == _NO_WAY
@@ -315,24 +294,36 @@ def _share(some: Sequence[Any], every: Sequence[Any]) -> str:
 
 
 def _closed_by(record: dict[str, Any]) -> str:
-    """What closed the grasps of a file."""
-    config = record["config"]
+    """What closed the grasps of a file, and what simulated them."""
+    config, within = record["config"], _ENGINES[_engine(record)]
     if config["controller"] == "grip":
-        return "Closed by the untrained grip alone:\n\n"
-    return f"Closed by the policy, with a force budget of {config['force_budget']:g} N:\n\n"
+        return f"Closed by the untrained grip alone, in {within}:\n\n"
+    budget = f"with a force budget of {config['force_budget']:g} N"
+    return f"Closed by the policy, {budget}, in {within}:\n\n"
+
+
+def _engine(record: dict[str, Any]) -> str:
+    """What simulated the grasps of a file; older ones do not say."""
+    engine: str = record["config"].get("engine", "mujoco")
+    return engine
+
+
+_ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX (MuJoCo Warp)"}
 
 
 def _together(paths: Sequence[Path]) -> dict[str, Any] | None:
     """Scenarios of one file or of several, the one in which nothing happens first.
 
     Raises:
-        FileError: One of them is in two files.
+        FileError: One of them is in two files, or the files are of different engines.
     """
     records = [record for record in map(read, paths) if record is not None]
     found: dict[str, Any] = {}
     for path, record in zip(filter(Path.exists, paths), records, strict=True):
         if twice := found.keys() & record["scenarios"].keys():
             raise FileError(path, ", ".join(sorted(twice)), "scenarios that no other file has")
+        if _engine(record) != _engine(records[0]):
+            raise FileError(path, _engine(record), f"as the others, {_engine(records[0])}")
         found |= record["scenarios"]
     if not records:
         return None

@@ -30,6 +30,7 @@ from jaxtyping import Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.grasps.config import warn_without_gpu
 from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
 from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import grasp_rows
@@ -111,11 +112,6 @@ def places_of(index: int, obj: ObjectModel) -> list[Place]:
     found = ((kind, name, PartGrounder().ground(name, target)) for kind, name in asked)
     # A part hides a side of its name.
     return [Place(index, k, n, anchor) for k, n, anchor in found if anchor.source == f"{k}: {n}"]
-
-
-def stacked(known: list[Known]) -> Known:
-    """What is known in each trial."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
 
 
 def contacts_in_object(
@@ -294,7 +290,8 @@ class Steered:
         grasper, library = self._grasper(way)
         physics = self._physics(len(places), grasper.dt)
         ran = grasp_all(
-            grasper, library, physics, stacked(known), problem, progress=self._progress,
+            grasper, library, physics, known, problem, which=np.arange(len(places)),
+            progress=self._progress,
         )  # fmt: skip
         names = [obj.name for obj in self._objects]
         return rows_of(way, places, within, names, ran, grasper, physics, problem)
@@ -315,8 +312,9 @@ def main(config: SteeredConfig) -> None:
     policy = closing_policy("policy", None, load_robot())
     identity = {"schema": SCHEMA, "config": to_record(unspread(config))}
     identity |= {"sha256": file_digests(policy=policy), "device": jax.default_backend()}
-    rows: list[dict[str, Any]] = []
-    with counting_progress(Console(stderr=True)) as bar:
+    rows, console = list[dict[str, Any]](), Console(stderr=True)
+    warn_without_gpu(config.engine, console)
+    with counting_progress(console) as bar:
         one = bar.add_task("", total=_PERCENT, visible=config.alone)
         own = Steered(config, lambda share: bar.update(one, completed=round(_PERCENT * share)))
         identity["meshes"] = own.meshes

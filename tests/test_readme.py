@@ -586,9 +586,15 @@ def test_whole_grasps_have_their_table(tmp_path):
     config = {"controller": "policy", "force_budget": 8.0}
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
     said, _, _, _, cube, every = tables.whole_grasps(path).splitlines()
-    assert said == "Closed by the policy, with a force budget of 8 N:"
+    assert said == "Closed by the policy, with a force budget of 8 N, in native MuJoCo:"
+    in_mjx = json.loads(path.read_text())
+    in_mjx["config"]["engine"] = "mjx"
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(in_mjx).replace('"nominal"', '"windy"'))
+    with pytest.raises(FileError, match=r"other\.json: found mjx, expected as the others, mujoco"):
+        tables.scenarios([path, other])
     path.write_text(path.read_text().replace("policy", "grip"))
-    assert tables.whole_grasps(path).startswith("Closed by the untrained grip alone:")
+    assert tables.whole_grasps(path).startswith("Closed by the untrained grip alone, in native")
     cells = ["8", "87.5 (53–98)", "75.0", "75.0", "3.1", "2.5", "1", "1"]
     assert values(cube) == ["rubiks cube", *cells, "7.0 / 5.5 / 5.0"]
     assert every.startswith("| **all** | **80** |")
@@ -618,33 +624,6 @@ def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
     assert "of the 3 trials of 6 in which there was a way, 66.7 % and 33.3 %" in training
     assert "100.0 % lifted and held" in others and "of the 2 trials of 2" in others
     assert refused == "- Trials without a way: bowl 2, rubiks cube 1."
-
-
-def test_grasps_that_are_made_again_take_the_place_of_those_of_the_same_objects(tmp_path):
-    summed = {"trials": 2, "success_percent": 50.0, "ci95": [15.0, 85.0], "up_at_9s": 1}
-    summed |= dict(not_reached=0, never_lifted=0, slipped=1, not_held=0, hit=0)
-    summed |= dict(lifted_s=3.14, tip_error_mm=[7.0, 5.5, 5.0], midpoint_mm=4.4, force_mean_n=2.5)
-    came = {"S": "success", "L": "slipped"}
-
-    def written(name, **outcomes):
-        rows = [
-            {"object": of, "outcome": came[c], "failure": "none", "up_at_9s": True, "returns": 0}
-            for of, letters in outcomes.items()
-            for c in letters
-        ]
-        nominal = {"settings": {"description": "nothing happens"}, "all": summed, "rows": rows}
-        nominal["objects"] = dict.fromkeys(outcomes, summed)
-        config = {"controller": "policy", "force_budget": 8.0}
-        path = tmp_path / name
-        path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
-        return path
-
-    every = written("all.json", rubiks_cube="LL", bowl="SL", chips_can="SS")
-    later, tables = written("later.json", rubiks_cube="SS"), make_readme.stage_tables
-    said = tables.grasps_made_later(later, every)
-    assert "| rubiks cube | 2 |" in said and "| bowl |" not in said
-    assert said.endswith("as they were: 75.0 % of 4 lifted and held.")
-    assert tables.grasps_made_later(tmp_path / "none.json", every) == tables.NOTHING
 
 
 def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):

@@ -9,9 +9,15 @@ from grasp_rows import row
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_grasp.evaluation.grasps.blocks import TRIALS, TRIALS_AT_ONCE, blocks_of, joined, parts_of
+from mjx_grasp.evaluation.grasps.blocks import (
+    TRIALS,
+    TRIALS_AT_ONCE,
+    TRIALS_IN_MJX,
+    blocks_of,
+    joined,
+    parts_of,
+)
 from mjx_grasp.evaluation.grasps.results import as_record
-from mjx_grasp.sim.engines import WORLDS
 
 
 @given(episodes=st.integers(1, 500), objects=st.integers(1, 100), seed=st.integers(0, 2**31))
@@ -54,7 +60,7 @@ def test_parts_are_all_blocks_and_a_gpu_runs_many_at_once(episodes, objects, dev
     if device == "cpu":
         assert all(len(part) == 1 for part in parts)
     else:
-        together = WORLDS["mjx"] if engine == "mjx" else TRIALS_AT_ONCE
+        together = TRIALS_IN_MJX if engine == "mjx" else TRIALS_AT_ONCE
         assert all(n <= max(together, objects) for n in trials)
         least = together - max(TRIALS, objects)
         assert all(n > least for n in trials[:-1]), "no part is smaller than need be"

@@ -10,9 +10,10 @@ import pytest
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps import worlds
 from mjx_grasp.evaluation.grasps.kept import SEGMENT, Kept, Trace
-from mjx_grasp.evaluation.grasps.problems import draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.evaluation.grasps.results import OUTCOMES, as_record, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import grasp_all
+from mjx_grasp.evaluation.grasps.scenario import Scenario, TrackerConfig
 from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.evaluation.grasps.worlds import LEAST_S
 from mjx_grasp.handoff.config import SamplingConfig
@@ -99,7 +100,7 @@ def test_in_mjx_a_cube_is_grasped_as_in_the_native_engine(cube, robot, planning)
         np.zeros((2, 2)),
         np.arange(2),
     )
-    known, scene = known_of([known_object(cube, robot)], problem), build_scene([cube], robot)
+    known, scene = [known_object(cube, robot)], build_scene([cube], robot)
     engines = [make_physics(engine, scene, 2, grasper.dt) for engine in ("mujoco", "mjx")]
     ran = [grasp_all(grasper, library, physics, known, problem) for physics in engines]
     rows = [grasp_rows([cube.name], problem, *each, grasper.dt) for each in ran]
@@ -123,7 +124,7 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
         np.arange(3),
     )
     physics = NativePhysics(build_scene([cube], robot), grasper.dt)
-    known = known_of([known_object(cube, robot)], problem)
+    known = [known_object(cube, robot)]
     end, trace = grasp_all(grasper, library, physics, known, problem)
     np.testing.assert_array_equal(end.progress.success, [True, True, False])
     assert (end.state.phase[:2] == Phase.HOLDING).all(), "the third is out of reach"
@@ -148,15 +149,19 @@ def test_a_cube_is_lifted_from_home_and_held(cube, robot, planning):
     assert sum(record["objects"][cube.name][name] for name in OUTCOMES) == 2
 
     # In two worlds the third begins where the first has ended, and nothing else is another one's.
-    again, other = grasp_all(grasper, library, physics, known, problem, worlds=2)
-    np.testing.assert_array_equal(other.over, trace.over)
-    np.testing.assert_allclose(other.qpos, trace.qpos, atol=1e-3)
-    np.testing.assert_array_equal(again.replans, end.replans)
-    np.testing.assert_array_equal(again.state.phase, end.state.phase)
+    noisy = Scenario(tracker=TrackerConfig(position=0.003, delay=0.05, dropout=0.2))
+    for scenario in (Scenario(), noisy):
+        if scenario == noisy:
+            end, trace = grasp_all(grasper, library, physics, known, problem, [scenario])
+        again, other = grasp_all(grasper, library, physics, known, problem, [scenario], worlds=2)
+        np.testing.assert_array_equal(other.over, trace.over)
+        np.testing.assert_allclose(other.qpos, trace.qpos, atol=1e-3)
+        np.testing.assert_array_equal(again.replans, end.replans)
+        np.testing.assert_array_equal(again.state.phase, end.state.phase)
 
     # A world that breaks while it lifts ends there, with numbers, and the others do not notice.
     physics = _Breaking(build_scene([cube], robot), grasper.dt)
-    both = jax.tree.map(lambda x: x[:2], (known, problem))
+    both = known, jax.tree.map(lambda x: x[:2], problem)
     end, trace = grasp_all(grasper, library, physics, *both)
     assert end.broken.tolist() == [False, True] and np.isfinite(trace.qpos).all()
     first, second = grasp_rows([cube.name], both[1], end, trace, grasper.dt)

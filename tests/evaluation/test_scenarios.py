@@ -19,8 +19,9 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps import circumstances, job, problems, rollout, worlds
+from mjx_grasp.evaluation.grasps import makers as grasp_makers
 from mjx_grasp.evaluation.grasps.blocks import Block
-from mjx_grasp.evaluation.grasps.config import ScenariosConfig
+from mjx_grasp.evaluation.grasps.config import ScenariosConfig, warn_without_gpu
 from mjx_grasp.evaluation.grasps.hits import hits
 from mjx_grasp.evaluation.grasps.job import run_scenarios
 from mjx_grasp.evaluation.grasps.kept import GraspEnd
@@ -38,7 +39,7 @@ from mjx_grasp.evaluation.grasps.scenario import (
 )
 from mjx_grasp.evaluation.grasps.tables import scenario_table
 from mjx_grasp.evaluation.grasps.tracker import Faults, start_track, track
-from mjx_grasp.evaluation.grasps.trials import GraspProblem
+from mjx_grasp.evaluation.grasps.trials import GraspProblem, trials_of
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
@@ -215,11 +216,14 @@ def test_a_ball_that_a_link_touches_is_a_hit(robot, body):
     q = np.tile(np.asarray(body.home, np.float64), (3, 2, 1))
     palm = np.asarray(body.kinematics.motion(jnp.asarray(body.home)).pos[PALM], np.float64)
     balls = np.array([[[*palm, 0.02]], [[*palm[:2], palm[2] + 1.0, 0.02]]])
-    np.testing.assert_array_equal(hits(robot, q, balls), [True, False])
-    np.testing.assert_array_equal(hits(robot, q, balls[::-1]), [False, True])
+    joints, all_of_them = np.arange(q.shape[2]), np.full(2, len(q))
+    about = robot, q, joints, all_of_them
+    np.testing.assert_array_equal(hits(*about, balls), [True, False])
+    np.testing.assert_array_equal(hits(*about, balls[::-1]), [False, True])
+    assert not hits(robot, q, joints, 0 * all_of_them, balls).any(), "the trials were over before"
     q[..., 0] += 1.0  # the whole robot turns away from the ball
-    assert not hits(robot, q, balls).any()
-    assert not hits(robot, q, np.zeros((2, 0, 4))).any()
+    assert not hits(*about, balls).any()
+    assert not hits(*about, np.zeros((2, 0, 4))).any()
 
 
 def test_objects_keep_away_from_where_they_are_told(robot):
@@ -249,7 +253,7 @@ def test_what_the_controller_begins_with(box_world, robot, monkeypatch):
         np.array([0]), np.float32([[0.5, 0, 0.03]]), np.float32([[1, 0, 0, 0]]),
         np.zeros((1, 2)), np.zeros(1, int),
     )  # fmt: skip
-    known = problems.known_of([Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))], problem)
+    known = [Known(shape, candidates, jnp.float32(2.0), jnp.zeros(3))]
     for weighed, weight in ((True, 2.0), (False, 0.0)):
         with pytest.raises(BegunError) as begins:
             scenario = Scenario(weighed=weighed)
@@ -448,6 +452,50 @@ def test_worlds_are_of_the_engine_that_is_asked_for_and_made_once(robot):
     assert [physics.num_worlds for physics in made] == [3, 5, 3] and made[0] is made[2]
 
 
+def test_rows_of_a_batch_are_those_of_each_scenario(robot, monkeypatch):
+    """The trials of one after those of the other, each with its own circumstances."""
+    asked, given = makers(robot, "rubiks_cube", "apple", episodes=3), []
+
+    def grasped(grasper, library, physics, known, problem, scenarios, worlds, progress):
+        given.append(trials_of(grasper, physics, problem, scenarios))
+        return problem, scenarios
+
+    monkeypatch.setattr(grasp_makers, "grasp_all", grasped)
+    monkeypatch.setattr(grasp_makers, "grasp_rows", lambda names, problem, *_: list(problem.seed))
+    make = lambda robot, approach: grasper_of(robot, reaching=whole_grasps("paper"))  # noqa: E731
+    windy = Scenario(
+        push=PushConfig(force=2.0), hold_s=3.0, mass_scale=2.0, weighed=False, told=False,
+        tracker=TrackerConfig(position=0.01, delay=0.05), belt=BeltConfig(speed=0.1),
+    )  # fmt: skip
+    part = (Block(0, 3, 0),)
+    rows = asked.run([Scenario(), windy], make, part)
+    alone = asked.run([windy], make, part)
+    assert len(rows) == 2 and rows[0] == rows[1] == alone[0] and len(set(rows[0])) == 6
+    both = given[0]
+    for whole, own in zip(*map(jax.tree.leaves, given), strict=True):
+        np.testing.assert_array_equal(_plain(whole)[6:], _plain(own))
+    np.testing.assert_array_equal(both.given.weighed, [True] * 6 + [False] * 6)
+    np.testing.assert_array_equal(both.given.hold_s, [1.0] * 6 + [3.0] * 6)
+    np.testing.assert_array_equal(both.params.mass_scale, [1.0] * 6 + [2.0] * 6)
+    np.testing.assert_array_equal(both.params.object_index, [0, 0, 0, 1, 1, 1] * 2)
+    assert (both.given.faults.age[:6] == 0).all() and (both.given.faults.age[6:] == 5).all()
+    assert not both.given.push.force[:6].any() and both.given.push.force[6:].any()
+
+
+def _plain(leaf):
+    """An array, of keys their numbers."""
+    keys = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(jax.random.key_data(leaf) if keys else leaf)
+
+
+def test_mjx_without_a_gpu_is_warned_of():
+    console = Console(file=io.StringIO(), width=200)
+    warn_without_gpu("mujoco", console)
+    assert not console.file.getvalue()
+    warn_without_gpu("mjx", console)
+    assert "no GPU" in console.file.getvalue()
+
+
 def test_own_objects_of_a_scenario_share_its_trials_and_have_one_each(robot):
     def trials(episodes, *own):
         problem = asked.problem(Scenario(objects=own), grasper_of, (Block(0, episodes, 0),))
@@ -554,7 +602,7 @@ def test_scenarios_that_were_killed_lose_no_part_and_the_file_holds_whole_ones(q
 
 
 def test_in_mjx_scenarios_of_a_kind_share_a_batch_and_each_has_its_own_rows(quick, tmp_path):
-    """One with an obstacle is compiled anew, and those that fill the worlds do not wait for it."""
+    """One with an obstacle is another one's batch: it is compiled anew."""
     ball = tmp_path / "ball.yaml"
     ball.write_text("obstacles: [{radius: 0.04}]\nhold_s: 2\n")
     calm, windy = quick.config.scenarios
@@ -578,8 +626,7 @@ def test_in_mjx_scenarios_of_a_kind_share_a_batch_and_each_has_its_own_rows(quic
 def test_batches_are_all_cases_in_mjx_those_of_a_kind_together(robot):
     cases = list(range(40))
     native, warp = (
-        makers(robot, "rubiks_cube", "apple", engine=engine, episodes=500)
-        for engine in ("mujoco", "mjx")
+        makers(robot, "rubiks_cube", "apple", engine=engine) for engine in ("mujoco", "mjx")
     )
     assert native.batches(cases, lambda case: case % 2) == [[case] for case in cases]
     found = warp.batches(cases, lambda case: case % 2)

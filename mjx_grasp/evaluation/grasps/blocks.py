@@ -12,13 +12,17 @@ import jax
 import numpy as np
 
 from mjx_grasp.evaluation.grasps.results import GraspRow, as_record
-from mjx_grasp.sim.engines import WORLDS, Engine
+from mjx_grasp.sim.engines import Engine
 
 TRIALS = 64
 """of a block, about: enough at once to be worth what a batch costs on a CPU"""
 TRIALS_AT_ONCE = 512
 """of a part in native MuJoCo beside a GPU, about: a tick of few takes it hardly less time, and
 MuJoCo steps more of them far longer than the tick takes; processes can share the parts"""
+
+
+TRIALS_IN_MJX = 4096
+"""of one where the GPU steps them too"""
 
 
 class Block(NamedTuple):
@@ -62,7 +66,7 @@ def parts_of(blocks: Sequence[Block], objects: int, engine: Engine = "mujoco") -
     """
     most = 1
     if jax.default_backend() != "cpu":
-        together = WORLDS["mjx"] if engine == "mjx" else TRIALS_AT_ONCE
+        together = TRIALS_IN_MJX if engine == "mjx" else TRIALS_AT_ONCE
         most = max(1, together // (objects * max(block.episodes for block in blocks)))
     return [tuple(blocks[k : k + most]) for k in range(0, len(blocks), most)]
 

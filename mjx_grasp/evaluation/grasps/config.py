@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax
+from rich.console import Console
+
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
@@ -16,6 +19,13 @@ ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
 BUDGET_N = 8.0
 """Force budget of whole grasps by default, among those of the shipped policy's training [N]."""
+
+
+def warn_without_gpu(engine: Engine, console: Console) -> None:
+    """Says that MJX without a GPU is slow."""
+    if engine == "mjx" and jax.default_backend() == "cpu":
+        slow = "no GPU: MJX runs on this machine's cores, many times slower than --engine mujoco"
+        console.print(f"[yellow]{slow}[/yellow]")
 
 
 def check_closing(

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from mjx_grasp.robot.mjcf import robot_mjspec
 from mjx_grasp.robot.spec import RobotSpec
 
 
 def hits(
-    robot: RobotSpec, q: Float[np.ndarray, "t w n"], obstacles: Float[np.ndarray, "w k 4"]
+    robot: RobotSpec,
+    qpos: Float[np.ndarray, "t w nq"],
+    joints: Int[np.ndarray, " n"],
+    ticks: Int[np.ndarray, " w"],
+    obstacles: Float[np.ndarray, "w k 4"],
 ) -> Bool[np.ndarray, " w"]:
     """Whether any link that collides comes in touch with a sphere at any time.
 
     Args:
         robot: Its MJCF says which geoms collide.
-        q: Joint positions, robot order [rad].
+        qpos: Of the trials, tick by tick.
+        joints: The robot's joints in it, in the robot's order.
+        ticks: That each trial had; what is behind them is not looked at.
         obstacles: Centre and radius [m].
     """
-    touched = np.zeros(q.shape[1], bool)
+    touched = np.zeros(qpos.shape[1], bool)
     if not obstacles.size:
         return touched
     spec = robot_mjspec(robot)
@@ -35,11 +41,11 @@ def hits(
         if g not in ids and model.geom_contype[g] | model.geom_conaffinity[g]
     ]
     nearest = np.zeros(6)
-    for w in range(q.shape[1]):
+    for w in range(qpos.shape[1]):
         for ball, at in zip(ids, obstacles[w], strict=True):
             model.geom_pos[ball], model.geom_size[ball, 0] = at[:3], at[3]
             model.geom_rbound[ball] = at[3]
-        for row in q[:, w]:
+        for row in qpos[: ticks[w], w, joints]:
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
             touched[w] = any(

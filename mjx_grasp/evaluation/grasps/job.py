@@ -15,7 +15,7 @@ from rich.console import Console
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.grasps.blocks import Part, joined
-from mjx_grasp.evaluation.grasps.config import ScenariosConfig
+from mjx_grasp.evaluation.grasps.config import ScenariosConfig, warn_without_gpu
 from mjx_grasp.evaluation.grasps.makers import Makers, compiled_for
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import Scenario, load_scenarios
@@ -85,7 +85,9 @@ class _Grasps:
 
 
 def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
-    """Runs what is asked for and writes the file after each scenario; parts are in the journal.
+    """Runs what is asked for and writes the file after each batch of scenarios, see `Makers`.
+
+    Parts of the trials that are finished before are in the journal.
 
     Args:
         config: Scenarios, objects, controller, file, and who shares the parts.
@@ -108,6 +110,7 @@ def run_scenarios(config: ScenariosConfig, console: Console) -> dict[str, Any]:
                 bar.update(bars[name], completed=_PERCENT * (len(found) + share))
 
         own = _Grasps(config, show)
+        warn_without_gpu(config.engine, console)
         header = {"schema": SCHEMA, "config": to_record(unspread(config))}
         header |= {"sha256": file_digests(policy=own.file), "device": jax.default_backend()}
         header |= {"robot": to_record(load_robot(config.robot).identity)}

@@ -36,7 +36,7 @@ class Trace(NamedTuple):
     felt: Float[Array, "t w f"]
     """the same estimated from joint torques, from the handoff on [N]"""
     over: Bool[Array, "t w"]
-    """whether the trial had ended before; then all stays as it was"""
+    """whether the trial had ended before; then robot and object stay as they were"""
 
 
 class GraspEnd(NamedTuple):
@@ -95,8 +95,12 @@ class Kept:
         return float(np.where(self._done, self.most, self.ticks).mean()) / self.most
 
     def trace(self) -> Trace:
-        """Of all trials, as long as the longest; after a trial's end all stays as it was."""
+        """Of all trials, as long as the longest, at the end: nothing is kept any more."""
         tick, trial = np.arange(self.ticks.max())[:, None], np.arange(self.ticks.size)
         row = np.minimum(tick, self.ticks - 1)
-        found: Trace = jax.tree.map(lambda whole: whole[row, trial], self._trace)
+        leaves, padded = list(self._trace), []
+        self._trace = None  # thousands of trials are gigabytes: not twice at once
+        while leaves:
+            padded.append(leaves.pop(0)[row, trial])
+        found = Trace(*padded)
         return found._replace(over=found.over | (tick >= self.ticks))

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjx_grasp.evaluation.grasps.blocks import Block, Part, blocks_of, parts_of
 from mjx_grasp.evaluation.grasps.config import GraspsConfig
-from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import Away, draw_problem
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.scenario import Scenario
@@ -135,9 +135,9 @@ class Makers:
         grasper, library = self.grasper(make, like), self.library(make, like)
         count = len(problem.object_index)
         worlds = min(count, _WORLDS) if self.config.engine == "mjx" else count
-        physics, known = self.physics(like, worlds, grasper.dt), known_of(self.known(like), problem)
+        physics, known = self.physics(like, worlds, grasper.dt), self.known(like)
         end, trace = grasp_all(
-            grasper, library, physics, known, problem, scenarios, worlds, progress
+            grasper, library, physics, known, problem, scenarios, worlds, progress=progress
         )
         names = [obj.name for obj in self.objects(like)]
         rows = grasp_rows(names, problem, end, trace, grasper.dt)

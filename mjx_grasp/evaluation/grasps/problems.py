@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -14,7 +12,6 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
-from mjx_grasp.pipeline.state import Known
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import Scene
 
@@ -94,14 +91,3 @@ def draw_problem(
         headings=angles.T,
         seed=np.concatenate([seeds(index) for index in indices]),
     )
-
-
-def known_of(known: Sequence[Known], problem: GraspProblem) -> Known:
-    """What is known of each trial's object, stacked.
-
-    Args:
-        known: Of the scene's objects, in its order.
-        problem: The trials.
-    """
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
-    return jax.tree.map(lambda leaf: leaf[problem.object_index], stacked)

@@ -41,9 +41,8 @@ class GraspProblem(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """What each trial begins with and keeps."""
+    """What each trial begins with and keeps, beside what is known of its object."""
 
-    known: Known
     given: Circumstances
     params: WorldParams
     qpos: Float[Array, "w nq"]
@@ -52,6 +51,11 @@ class Trial(NamedTuple):
     truth: Truth
     key: Array
     """two of each trial: of its plans, and of the tracker's noise"""
+
+
+def stacked(known: Sequence[Known]) -> Known:
+    """What is known of several objects, in one piece."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
 
 
 def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
@@ -63,11 +67,10 @@ def home_tips(grasper: Grasper) -> Float[np.ndarray, " 3"]:
 def trials_of(
     grasper: Grasper,
     physics: Physics,
-    known: Known,
     problem: GraspProblem,
     scenarios: Sequence[Scenario],
 ) -> Trial:
-    """All trials as they begin."""
+    """All trials as they begin; arguments as of `grasp_all`."""
     scene, count = physics.scene, len(problem.object_index)
     at, given = scene.addresses, _given(grasper, scene, problem, scenarios)
     qpos = np.zeros((count, scene.model.nq), np.float32)
@@ -76,7 +79,6 @@ def trials_of(
     measured, truth = at_rest(scene, qpos, physics.substeps)
     friction, index = scene.config.friction[0], jnp.asarray(problem.object_index)
     return Trial(
-        known=known._replace(weight=jnp.where(given.weighed, known.weight, 0.0)),
         given=given,
         params=make_params(index, friction, given.mass_scale),
         qpos=jnp.asarray(qpos),

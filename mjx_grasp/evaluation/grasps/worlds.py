@@ -36,8 +36,8 @@ from mjx_grasp.sim.physics import Physics, PhysicsState, Truth, WorldParams
 from mjx_grasp.tasks.config import SuccessConfig
 from mjx_grasp.tasks.success import Progress, in_palm, initial_progress, slipped, update_progress
 
-_PART = 64
-"""Trials that begin, or whose ends are kept, at once."""
+_PART = 128
+"""Trials that begin, or whose ends are kept, at once: as many as plans are made for on a GPU."""
 LEAST_S = 9.0
 """Time for which every trial runs: the length of an end-to-end episode (method §6) [s]."""
 
@@ -67,6 +67,7 @@ class _Carry(NamedTuple):
 class _Worlds(NamedTuple):
     """Trials under way, each in a world of its own."""
 
+    known: Known
     of: Trial
     carry: _Carry
 
@@ -89,9 +90,17 @@ class _Control(NamedTuple):
 class UnderWay:
     """Trials under way, and those that begin."""
 
-    def __init__(self, grasper: Grasper, library: Library | None, physics: Physics, trials: Trial):
+    def __init__(
+        self,
+        grasper: Grasper,
+        library: Library | None,
+        physics: Physics,
+        trials: Trial,
+        known: Known,
+        which: Int[np.ndarray, " n"],
+    ):
         self._grasper, self._library, self._physics = grasper, library, physics
-        self._trials = trials
+        self._trials, self._known, self._which = trials, known, which
         self._order = jnp.asarray(np.argsort(physics.scene.addresses.robot_ctrl))
 
     def taken_up(
@@ -105,14 +114,15 @@ class UnderWay:
 
     def begun(self, trials: Int[np.ndarray, " k"]) -> _Worlds:
         """Trials begin, each in a world of its own."""
-        of = _rows(self._trials, trials)
+        of, known = _rows(self._trials, trials), _rows(self._known, self._which[trials])
+        known = known._replace(weight=jnp.where(of.given.weighed, known.weight, 0.0))
         tracked = _first_look(of, self._grasper.dt)
         seen, q = _seen(tracked, of.truth, of.given), of.measured.q
-        wanted = Wanted(of.known, seen, q, Tried.nothing(len(q)), _plan_keys(of.key, 0))
+        wanted = Wanted(known, seen, q, Tried.nothing(len(q)), _plan_keys(of.key, 0))
         different, same = np.unique(trials, return_index=True, return_inverse=True)[1:]
         ways = planned(self._grasper, self._library, wanted, different)
         ways = jax.tree.map(lambda leaf: leaf[same], ways)
-        grasp = _start(self._grasper, of.measured, of.known, seen, ways)
+        grasp = _start(self._grasper, of.measured, known, seen, ways)
         ctrl = of.qpos[:, self._physics.scene.addresses.robot_qpos][:, self._order]
         carry = _Carry(
             physics=self._physics.init(of.qpos, ctrl),
@@ -128,31 +138,31 @@ class UnderWay:
             overflow_ticks=jnp.zeros(len(q), jnp.int32),
             plans=jnp.ones(len(q), jnp.int32),
         )
-        return _Worlds(of, carry)
+        return _Worlds(known, of, carry)
 
     def segment(self, running: _Worlds) -> tuple[_Worlds, Trace, Bool[np.ndarray, " w"]]:
         """Some ticks later: what happened in them, and which trials are over."""
-        of, carry, ticks = running.of, running.carry, []
+        (known, of, carry), ticks = running, []
         for _ in range(SEGMENT):
-            sent = _controlled(self._grasper, carry, of, self._order)
+            sent = _controlled(self._grasper, carry, known, of, self._order)
             stepped = _stepped(self._physics, carry.physics, of.params, sent)
             carry, tick = _judged(self._grasper, carry, sent, stepped, of)
             ticks.append(tick)
         found = jax.tree.map(lambda *leaves: np.stack(leaves), *jax.device_get(ticks))
-        return _Worlds(of, carry), found, np.array(_over(carry, of.given.hold_s))
+        return _Worlds(known, of, carry), found, np.array(_over(carry, of.given.hold_s))
 
     def replanned(self, running: _Worlds, due: Int[np.ndarray, " k"]) -> _Worlds:
         """With new plans where they are due."""
         assert self._library is not None  # plans are due of none without a planner
-        of, carry = running
+        known, of, carry = running
         now = _smoothed(carry, of.given)
         state, keys = carry.grasp, _plan_keys(of.key, carry.plans)
-        wanted = Wanted(of.known, now, carry.measured.q, state.tried, keys)
+        wanted = Wanted(known, now, carry.measured.q, state.tried, keys)
         for rows, ways in planned_in_parts(self._grasper, self._library, wanted, due):
             state = with_plans(self._grasper, state, ways, rows)
         made = np.bincount(due, minlength=len(carry.due))
         carry = carry._replace(grasp=state, due=carry.due & (made == 0), plans=carry.plans + made)
-        return _Worlds(of, carry)
+        return _Worlds(known, of, carry)
 
     def ends(self, running: _Worlds, worlds: Int[np.ndarray, " k"]) -> Any:
         """How trials ended."""
@@ -209,9 +219,11 @@ def _start(
 
 
 @partial(jax.jit, static_argnames="grasper")
-def _controlled(grasper: Grasper, carry: _Carry, of: Trial, order: Int[Array, " n"]) -> _Control:
+def _controlled(
+    grasper: Grasper, carry: _Carry, known: Known, of: Trial, order: Int[Array, " n"]
+) -> _Control:
     """What is sent to the robots, and acts on the objects, until the next tick."""
-    known, given = of.known, of.given
+    given = of.given
     tick = 1 + jnp.round(carry.grasp.clock / grasper.dt).astype(jnp.int32)
     keys = _noise_keys(of.key, tick)
     tracked = track(carry.track, *_pose(carry.truth), keys, given.faults)

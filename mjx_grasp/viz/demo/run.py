@@ -19,7 +19,7 @@ from rich.progress import Progress
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
-from mjx_grasp.evaluation.grasps.problems import Away, draw_problem, known_of
+from mjx_grasp.evaluation.grasps.problems import Away, draw_problem
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
@@ -129,9 +129,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             score = jnp.asarray(steered.score) if config.steers else None
             known = [known_object(obj, robot, steered.heatmap, score)]
             physics = NativePhysics(scene, grasper.dt, threads=1)
-            end, trace = grasp_all(
-                grasper, library, physics, known_of(known, problem), problem, [scenario]
-            )
+            end, trace = grasp_all(grasper, library, physics, known, problem, [scenario])
         (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)

@@ -649,7 +649,8 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
     windy = scenario(trials("apple", 1, 1), "wind")
     breezy = scenario(trials("apple", 6), "a breeze")
     of_all = scenario(trials("apple", 3, 1) + trials("bowl", 0, 4) + trials("chips_can", 2), "-")
-    eight.write_text(json.dumps({"scenarios": {"nominal": calm, "w": windy, "b": breezy}}))
+    found = {"nominal": calm, "w": windy, "b": breezy}
+    eight.write_text(json.dumps({"scenarios": found, "config": {}}))
     assert tables.grasps_in_short([eight], every) == tables.NOTHING
     every.write_text(json.dumps({"scenarios": {"nominal": of_all}}))
     _, _, *lines = tables.grasps_in_short([eight], every).splitlines()
@@ -660,14 +661,14 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
         ["2 objects of training", "8", "37.5", "25.0", "4.0", "3.0"],
         ["1 objects kept out of it", "2", "100.0", "100.0", "4.0", "3.0"],
     ]
-    eight.write_text(json.dumps({"scenarios": {"nominal": calm}}))
+    eight.write_text(json.dumps({"scenarios": {"nominal": calm}, "config": {}}))
     assert len(tables.grasps_in_short([eight], every).splitlines()) == 5
     more = tmp_path / "9.json"
-    more.write_text(json.dumps({"scenarios": {"w": windy, "b": breezy}}))
+    more.write_text(json.dumps({"scenarios": {"w": windy, "b": breezy}, "config": {}}))
     assert [
         values(line) for line in tables.grasps_in_short([more, eight], every).splitlines()[2:]
     ] == [values(line) for line in lines]
-    more.write_text(json.dumps({"scenarios": {"nominal": calm}}))
+    more.write_text(json.dumps({"scenarios": {"nominal": calm}, "config": {}}))
     with pytest.raises(FileError, match="scenarios that no other file has"):
         tables.grasps_in_short([eight, more], every)
 

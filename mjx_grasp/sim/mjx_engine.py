@@ -39,7 +39,8 @@ _LAST = ("qpos", "qacc_warmstart", *_FRAMES, "sensordata", "nefc")
 _EACH = ("qvel", "M", "qfrc_bias", "qfrc_actuator", "qfrc_passive", "overflow")
 # A contact or constraint that did not fit; reaching the iteration limit is no overflow.
 _FULL = mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ
-_FULL |= mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE
+_FULL |= mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.CCD
+_FULL |= mjw.OverflowType.CONTACT_MATCH
 
 _CONTACTS, _CONSTRAINTS = 24, 128
 """Room for so many contacts of a world on average, and for constraint rows of each."""

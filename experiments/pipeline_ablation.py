@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
+import jax
 import tyro
 from pipeline_tables import FULL
 from rich.console import Console
@@ -315,6 +316,7 @@ def main(config: PipelineAblationConfig) -> None:
             systems.check(name, scenario)
         asked = {k: v for k, v in to_record(unspread(config)).items() if k not in _ASKED}
         header = {"schema": SCHEMA, "config": asked, "sha256": file_digests(policy=systems.file)}
+        header |= {"device": jax.default_backend()}
         results = kept(config.out, header, made["git"], console)
         by = {
             (name, at): about(VARIANTS[name], scenario, systems.makers.objects(scenario))

@@ -16,6 +16,7 @@ PROVENANCE = {
     "seed": 7,
 }
 CODE = PROVENANCE["git"][:7]
+ALONE = "python -m mjx_grasp.evaluate"
 
 
 def load_generator():

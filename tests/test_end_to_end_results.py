@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from generated import ALONE, PROVENANCE, ROOT, make_readme, result, values
 from PIL import Image
 from test_figures import script
-from test_readme import ALONE, PROVENANCE, ROOT, load_generator, result, values
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.paper import OBJECTS
@@ -21,7 +21,6 @@ from mjx_grasp.robot.identity import FIRST_ROBOT
 from mjx_grasp.training.command_line import parse
 from mjx_grasp.training.config import settings_of
 
-make_readme = load_generator()
 tables, claims = make_readme.end_to_end_tables, make_readme.paper_tables.claims
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from generated import PROVENANCE, make_readme, result
+from generated import ALONE, PROVENANCE, make_readme, result
 from test_imports import ORDER
 
 import mjx_grasp
@@ -17,7 +17,6 @@ from mjx_grasp.evaluation.results import ThroughputRow, write_results
 from mjx_grasp.robot.identity import FIRST_ROBOT
 
 ROOT = Path(__file__).resolve().parent.parent
-ALONE = "python -m mjx_grasp.evaluate"
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "experiments/README.md")),
     *sorted((ROOT / "docs").glob("*.md")),

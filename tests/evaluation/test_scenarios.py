@@ -462,7 +462,10 @@ def test_rows_of_a_batch_are_those_of_each_scenario(robot, monkeypatch):
 
     monkeypatch.setattr(grasp_makers, "grasp_all", grasped)
     monkeypatch.setattr(grasp_makers, "grasp_rows", lambda names, problem, *_: list(problem.seed))
-    make = lambda robot, approach: grasper_of(robot, reaching=whole_grasps("paper"))  # noqa: E731
+
+    def make(robot, approach):
+        return grasper_of(robot, reaching=whole_grasps("paper"))
+
     windy = Scenario(
         push=PushConfig(force=2.0), hold_s=3.0, mass_scale=2.0, weighed=False, told=False,
         tracker=TrackerConfig(position=0.01, delay=0.05), belt=BeltConfig(speed=0.1),

@@ -81,11 +81,14 @@ def test_processes_share_the_gpus_that_they_may_use(named, there, each, monkeypa
     monkeypatch.setattr(os, "sched_setaffinity", lambda *_: None)
     monkeypatch.setattr(module, "glob", lambda _: [f"/dev/nvidia{k}" for k in range(there)])
     found = []
+
+    def seen(context, job):
+        return os.environ.get("CUDA_VISIBLE_DEVICES")
+
     for k in range(3):
         monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
         if named is not None:
             monkeypatch.setenv("CUDA_VISIBLE_DEVICES", named)
-        seen = lambda *_: os.environ.get("CUDA_VISIBLE_DEVICES")  # noqa: E731
         found.append(module._Worker(seen, lambda: None).run(Place(k, 3), 0, None)[1])
     assert found == each
 

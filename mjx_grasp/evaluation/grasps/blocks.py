@@ -19,8 +19,6 @@ TRIALS = 64
 TRIALS_AT_ONCE = 512
 """of a part in native MuJoCo beside a GPU, about: a tick of few takes it hardly less time, and
 MuJoCo steps more of them far longer than the tick takes; processes can share the parts"""
-
-
 TRIALS_IN_MJX = 4096
 """of one where the GPU steps them too"""
 

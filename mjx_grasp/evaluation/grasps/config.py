@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
@@ -14,6 +13,7 @@ from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.records.settings import Count, Positive, Seed, Suffix
 from mjx_grasp.records.spread import Spread
 from mjx_grasp.sim.engines import Engine
+from mjx_grasp.tasks.assemble import has_gpu
 
 ClosingController = Literal["policy", "grip"]
 """what closes: a policy on top of a grip that answers to load, or that grip alone"""
@@ -23,7 +23,7 @@ BUDGET_N = 8.0
 
 def warn_without_gpu(engine: Engine, console: Console) -> None:
     """Says that MJX without a GPU is slow."""
-    if engine == "mjx" and jax.default_backend() == "cpu":
+    if engine == "mjx" and not has_gpu():
         slow = "no GPU: MJX runs on this machine's cores, many times slower than --engine mujoco"
         console.print(f"[yellow]{slow}[/yellow]")
 

@@ -13,6 +13,7 @@ budgets for those that the same policy had:
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -231,18 +232,18 @@ def what_is_known(
 
 def before(
     config: ComparisonConfig, made_of: dict[str, Any]
-) -> tuple[list[ResultRow], dict[str, Any], dict[str, int]]:
+) -> tuple[list[ResultRow], dict[str, Any], Counter[str]]:
     """What an interrupted comparison has left: rows, provenance, and counts of incidents.
 
     Results of other settings, or of another revision of the code, are made anew.
     """
     made = provenance(config.seed)
     if not config.out.exists():
-        return [], made, {}
+        return [], made, Counter()
     kept = read_results(config.out)
     if not goes_on(kept.extra | {"provenance": kept.provenance}, made_of, made["git"]):
-        return [], made, {}
-    counted = {name: int(kept.extra[name]) for name in incidents(()) if name in kept.extra}
+        return [], made, Counter()
+    counted = Counter({name: int(kept.extra[name]) for name in incidents(()) if name in kept.extra})
     return list(kept.rows), kept.provenance, counted
 
 
@@ -282,9 +283,8 @@ class _Job(NamedTuple):
     names: list[str]
 
 
-def _compiled(job: _Job) -> Hashable:
-    """What of a job decides which functions are compiled; the rest is drawn."""
-    one = job.chosen
+def _compiled(one: EvaluateConfig) -> Hashable:
+    """What of an evaluation decides which functions are compiled; the rest is drawn."""
     grip = one.squeeze_force, one.squeeze_split, one.grip
     return one.controller, *grip, one.angle_deg > 0, one.robot_errors, one.keeping_gain
 
@@ -320,39 +320,44 @@ def main(config: ComparisonConfig) -> None:
     asked, finished = own.asked(config), len(rows) // len(own.names)
     together = len(own.names) if config.engine == "mjx" else _TOGETHER
     parts = [own.names[k : k + together] for k in range(0, len(own.names), together)]
-    new = [
-        (f"controller {k}, from {names[0]}", _Job(each, names))
-        for k, each in enumerate(asked)
-        if k >= finished and each not in known
-        for names in parts
-    ]
+    ended: dict[int, tuple[list[ResultRow], dict[str, int]]]
+    ended = {k: (known[each], {}) for k, each in enumerate(asked) if each in known}
+    left = [k for k in range(finished, len(asked)) if k not in ended]
+    # One after the other those that share compiled functions: these are kept of one task alone.
+    first = {_compiled(asked[k]): k for k in reversed(left)}
+    left.sort(key=lambda k: first[_compiled(asked[k])])
+    jobs = [(f"controller {k}, from {of[0]}", _Job(asked[k], of)) for k in left for of in parts]
     setup = (lambda: own) if config.alone else partial(_load, config)
     journal = Journal(config.out, made_of, made["git"])
-    results = journaled(config, _evaluated, new, setup, journal, kind=_compiled)
+    results = journaled(
+        config, _evaluated, jobs, setup, journal, kind=lambda job: _compiled(job.chosen)
+    )
+
+    def write() -> None:
+        """Writes all whose turn has come: an interrupted comparison keeps what it has."""
+        while (k := len(rows) // len(own.names)) in ended:
+            more, happened = ended.pop(k)
+            rows.extend(more)
+            counted.update(happened)
+        if rows:
+            about = made_of | counted
+            robot = load_robot().identity
+            write_results(config.out, rows, made, robot, not_eligible=own.without, **about)
+
     with counting_progress(console) as bar:
-        job = bar.add_task("controllers", total=len(asked), completed=finished)
-        for each in asked[finished:]:
-            if each in known:
-                rows += known[each]
-            else:
-                for done in islice(results, len(parts)):
-                    rows += [
-                        row_from_record(journal.path, k, values, ResultRow)
-                        for k, values in enumerate(done["rows"])
-                    ]
-                    for what, count in done["incidents"].items():
-                        counted[what] = counted.get(what, 0) + count
-            # Written as it grows: an interrupted comparison keeps what it has.
-            write_results(
-                config.out,
-                rows,
-                made,
-                load_robot().identity,
-                not_eligible=own.without,
-                **made_of,
-                **counted,
-            )
+        job = bar.add_task("controllers", total=len(asked), completed=len(asked) - len(left))
+        write()
+        for k in left:
+            done = list(islice(results, len(parts)))
+            records = (record for part in done for record in part["rows"])
+            own_rows = [
+                row_from_record(journal.path, number, record, ResultRow)
+                for number, record in enumerate(records)
+            ]
+            each = [part["incidents"] for part in done]
+            ended[k] = own_rows, {what: sum(of[what] for of in each) for what in each[0]}
             bar.update(job, advance=1)
+            write()
     journal.close()
     count = len(asked) // len(config.conditions) * len(own.names)
     for k in range(len(config.conditions)):

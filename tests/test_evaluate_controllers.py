@@ -121,7 +121,7 @@ def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):
     record["rows"] = record["rows"][: len(NAMES) * (script.policies + 1)]
     first.out.write_text(json.dumps(record))
     script.main(replace(first, out=tmp_path / "second.json", known=(first.out,)))
-    assert [each.squeeze_force for each in script.ran if each.controller == "squeeze"] == [5, 3, 5]
+    assert [each.squeeze_force for each in script.ran if each.controller == "squeeze"] == [5, 5, 3]
 
 
 def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
@@ -200,9 +200,19 @@ def test_what_is_not_known_is_run(script, first, tmp_path):
     )
     script.main(second)
     ran = [(each.friction, each.controller, each.squeeze_force) for each in script.ran]
-    assert ran == [(0.5, "squeeze", 8.0), (0.8, "squeeze", 5.0), (0.8, "squeeze", 8.0),
+    assert ran == [(0.5, "squeeze", 8.0), (0.8, "squeeze", 8.0), (0.8, "squeeze", 5.0),
                    (0.8, "grip", 3.0)]  # fmt: skip
     assert all(each.mass_scale == 2.0 for each in script.ran[1:])
+
+
+def test_evaluations_that_share_compiled_functions_follow_each_other(script, first, tmp_path):
+    script.main(replace(first, out=tmp_path / "second.json", conditions=("nominal", "heavy")))
+    kinds = [script._compiled(each) for each in script.ran]
+    changes = sum(one != other for one, other in itertools.pairwise(kinds))
+    assert len(set(kinds)) == 4 and changes == 3
+    rows = json.loads((tmp_path / "second.json").read_text())["rows"]
+    in_order = [row["controller"] for row in rows[:: len(NAMES)]]
+    assert in_order == 2 * [*script.policies * ["policy"], "squeeze", "squeeze", "grip"]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ import speed_tables
 import stage_tables
 import steering_tables
 import tyro
-from paper import PARTS
+from paper_parts import PARTS
 from stage_tables import markdown, short_revision
 
 from mjx_grasp.cli import run_command
@@ -68,11 +68,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     results = [p for p in files if schemas[p] == SCHEMAS[ResultRow]]
     on_devices = sorted(folder.glob("devices_*.json"))
     scenarios = folder / "scenarios.json"
-    every_scenario = sorted(folder.glob("scenarios*.json"))
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
         root / "README.md": {
-            "grasps": stage_tables.grasps_in_short(every_scenario, folder / "grasps_all.json"),
+            "grasps": stage_tables.grasps_in_short(scenarios, folder / "grasps_all.json"),
             "results": closing_tables.means(results),
         },
         root / "docs" / "reproduction.md": {
@@ -153,7 +152,10 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "grasps": stage_tables.whole_grasps(scenarios),
             "grasps-all": stage_tables.grasps_by_split(folder / "grasps_all.json"),
-            "scenarios": stage_tables.scenarios(every_scenario),
+            "scenarios": stage_tables.scenarios(scenarios),
+            "scenarios-engines": stage_tables.scenarios_by_engine(
+                scenarios, folder / "engines" / "scenarios.json"
+            ),
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"
             ),

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from paper import Part
+from paper_parts import Part
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation.front_tables import headline

@@ -11,9 +11,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.evaluation.results import OUTCOMES
+from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
 from mjx_grasp.objects.catalogue import groups
 from mjx_grasp.pipeline.phases import Failure
 from mjx_grasp.records.atomic import read_json
@@ -209,14 +212,14 @@ def whole_grasps(path: Path) -> str:
     return _closed_by(record) + markdown(Table("Whole grasps", header, tuple(lines), summary=1))
 
 
-def grasps_in_short(scenarios: Sequence[Path], every: Path) -> str:
+def grasps_in_short(scenarios: Path, every: Path) -> str:
     """Grasps from home: of the eight with and without what may happen, and of all objects.
 
     Args:
-        scenarios: Of the eight objects, in one file or several.
+        scenarios: Of the eight objects.
         every: Of all objects, while nothing happens.
     """
-    eight, objects = _together(scenarios), read(every)
+    eight, objects = read(scenarios), read(every)
     if eight is None or objects is None:
         return NOTHING
     found = {name: result["rows"] for name, result in eight["scenarios"].items()}
@@ -309,31 +312,12 @@ def _engine(record: dict[str, Any]) -> str:
 
 
 _ENGINES = {"mujoco": "native MuJoCo", "mjx": "MJX (MuJoCo Warp)"}
+_SHORT = {"mujoco": "native", "mjx": "MJX"}
 
 
-def _together(paths: Sequence[Path]) -> dict[str, Any] | None:
-    """Scenarios of one file or of several, the one in which nothing happens first.
-
-    Raises:
-        FileError: One of them is in two files, or the files are of different engines.
-    """
-    records = [record for record in map(read, paths) if record is not None]
-    found: dict[str, Any] = {}
-    for path, record in zip(filter(Path.exists, paths), records, strict=True):
-        if twice := found.keys() & record["scenarios"].keys():
-            raise FileError(path, ", ".join(sorted(twice)), "scenarios that no other file has")
-        if _engine(record) != _engine(records[0]):
-            raise FileError(path, _engine(record), f"as the others, {_engine(records[0])}")
-        found |= record["scenarios"]
-    if not records:
-        return None
-    names = sorted(found, key=lambda name: (name != NOMINAL, name))
-    return records[0] | {"scenarios": {name: found[name] for name in names}}
-
-
-def scenarios(paths: Sequence[Path]) -> str:
+def scenarios(path: Path) -> str:
     """Grasps from home while this or that happens, over all objects."""
-    record = _together(paths)
+    record = read(path)
     if record is None:
         return NOTHING
     lines = []
@@ -343,7 +327,59 @@ def scenarios(paths: Sequence[Path]) -> str:
         cells = _grasp_cells(s, result["rows"])
         lines.append((what, *cells, *_failure_cells(s), str(s["hit"])))
     header = ("scenario", *_GRASP_COLUMNS, "not reached", "lost", "hit")
-    return markdown(Table("Scenarios", header, tuple(lines)))
+    return _closed_by(record) + markdown(Table("Scenarios", header, tuple(lines)))
+
+
+def scenarios_by_engine(one: Path, other: Path) -> str:
+    """The same trials of whole grasps on two engines; of scenarios that both files have.
+
+    Raises:
+        FileError: They are of one engine, or not the same trials.
+    """
+    first, second = read(one), read(other)
+    if first is None or second is None:
+        return NOTHING
+    engines = _engine(first), _engine(second)
+    if engines[0] == engines[1]:
+        raise FileError(other, engines[1], f"another engine than that of {one}")
+    for name in ("objects", "episodes", "seed", "force_budget", "controller"):
+        found, expected = second["config"][name], first["config"][name]
+        if found != expected:
+            raise FileError(other, f"{name} {found!r}", f"{expected!r}, as in {one}")
+    names = [name for name in first["scenarios"] if name in second["scenarios"]]
+    if first["sha256"] != second["sha256"]:
+        raise FileError(other, "another policy", f"that of {one}")
+    for name in names:
+        for what in ("settings", "meshes"):
+            if first["scenarios"][name][what] != second["scenarios"][name][what]:
+                raise FileError(other, f"{name} of other {what}", f"those of {one}")
+    rows = {n: [record["scenarios"][n]["rows"] for record in (first, second)] for n in names}
+    every = [[row for n in names for row in rows[n][k]] for k in (0, 1)]
+    lines = [(name.replace("_", " "), *_compared(*rows[name])) for name in names]
+    held, times, forces = (
+        [f"{what}, {_SHORT[engine]}" for engine in engines]
+        for what in ("lifted and held %", "lifted s", "force N")
+    )
+    header = ("scenario", "trials", *held, "points", "same outcome %", *times, *forces)
+    lines.append(("all", *_compared(*every)))
+    return markdown(Table("Scenarios by engine", header, tuple(lines), summary=1))
+
+
+def _compared(first: Sequence[dict[str, Any]], second: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Cells of the same trials of two engines."""
+    of_each = [np.array([row["outcome"] for row in rows]) for rows in (first, second)]
+    held, other = (100.0 * (outcomes == "success") for outcomes in of_each)
+    change = f"{(other - held).mean():+.1f}"
+    if (held != other).any():
+        low, high = bootstrap_mean_interval(other - held, seed=0)
+        change += f" ({low:+.1f} to {high:+.1f})"
+    means = (
+        _number(_mean(row[of] for row in _held(rows)))
+        for of in ("lifted_s", "force_mean_n")
+        for rows in (first, second)
+    )
+    same = f"{100.0 * (of_each[0] == of_each[1]).mean():.1f}"
+    return str(len(first)), f"{held.mean():.1f}", f"{other.mean():.1f}", change, same, *means
 
 
 def foreign_meshes(path: Path) -> str:

@@ -3,7 +3,7 @@
 Objects lie at random on the table and are grasped "near the top", "by the handle" and so on: every
 side, every named part. Each grasp is made twice, steered to the contacts and by default, and the
 distance of the place from the contacts is measured: of those of the first try, of those of the
-last, and of the fingertips when the lift begins. A side may lie on the table; it is asked for all
+last, and of the pads when the lift begins. A side may lie on the table; it is asked for all
 the same: how high the place is says so, how near the nearest contacts are that can be used in that
 pose at all, and how near those of them that hold the object easily. The shipped policy closes.
 `--processes 8` shares them out over as many cores, some trials at a time, and a run that was killed
@@ -50,14 +50,14 @@ from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
-from mjx_grasp.posture.body import FINGERS
+from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.planning import held_easily, start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
-from mjx_grasp.records.settings import Seed, to_record
+from mjx_grasp.records.settings import Count, Seed, to_record
 from mjx_grasp.records.spread import Spread, unspread
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.engines import Engine, make_physics
@@ -90,6 +90,8 @@ class SteeredConfig(Spread):
     """folder of real scans; parametric stand-ins without one"""
     engine: Engine = "mujoco"
     """what steps the physics: mujoco (native, in threads) or mjx (Warp, on a GPU)"""
+    poses: Count = 1
+    """random ones of the object for each place [-]"""
     seed: Seed = 0
     """of the poses and plans"""
 
@@ -117,13 +119,13 @@ def places_of(index: int, obj: ObjectModel) -> list[Place]:
 def contacts_in_object(
     grasper: Grasper, physics: Physics, trace: Trace
 ) -> Float[np.ndarray, "3 w 3 3"]:
-    """Chosen contacts at first and last handoff, fingertips as the last lift begins; object frame.
+    """Chosen contacts at first and last handoff, pads as the last lift begins; object frame.
 
     They are nan in trials that do not come so far.
     """
     at, worlds = physics.scene.addresses, trace.phase.shape[1]
     first, chosen, achieved = found = np.full((3, worlds, 3, 3), np.nan)
-    pads = jax.jit(lambda q: grasper.reacher.body.kinematics.motion(q).pos[:FINGERS])
+    pads = jax.jit(lambda q: grasper.reacher.body.kinematics.motion(q).pos[FINGERS:PALM])
     for w in range(worlds):
         phase, qpos = trace.phase[:, w], trace.qpos[:, w]
         lifting = phase == Phase.LIFTING
@@ -245,7 +247,12 @@ class Steered:
         self._config, self._progress, self._robot = config, progress, load_robot()
         self.policy = closing_policy("policy", None, self._robot)
         self._objects = objects = list(load_objects(config.objects, config.objects_dir))
-        self._places = [place for k, obj in enumerate(objects) for place in places_of(k, obj)]
+        self._places = [
+            place
+            for k, obj in enumerate(objects)
+            for place in places_of(k, obj)
+            for _ in range(config.poses)
+        ]
         counts = [sum(place.index == k for place in self._places) for k in range(len(objects))]
         self._scene = build_scene(objects, self._robot)
         drawn = [

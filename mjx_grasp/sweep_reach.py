@@ -1,7 +1,7 @@
 """`python -m mjx_grasp.sweep_reach`: how often the reaching controller reaches, and how fast.
 
-Thousands of randomised cylinders on the table, reached for from home without physics, in batches on
-whatever device JAX finds. Prints the rates by tolerance and time beside the publication's.
+Thousands of random cylinders on the table, reached for from home without physics, in batches. It
+prints the rates by tolerance and time beside those of the publication.
 """
 
 from mjx_grasp.cli import run_command, starting
@@ -12,22 +12,19 @@ def main() -> None:
     with starting():
         from rich.console import Console
 
-        from mjx_grasp.evaluation.reach.poses import SweepConfig
-        from mjx_grasp.records.atomic import check_writable
+        from mjx_grasp.evaluation.reach.poses import SweepConfig, check_outputs
         from mjx_grasp.records.command_line import parsed
 
         config = parsed(SweepConfig, __doc__)
-        for flag, path in (("--out", config.out), ("--plot", config.plot)):
-            if path is not None:
-                check_writable(flag, path)
+        check_outputs(config)
         from mjx_grasp.evaluation.reach.results import tables
         from mjx_grasp.evaluation.reach.run import journal_of, run_sweep
         from mjx_grasp.reaching.presets import for_sweep, reach_preset
         from mjx_grasp.robot.spec import load_robot
         from mjx_grasp.viz.reach import write_outputs
 
-    console = Console()
-    settings, robot = for_sweep(reach_preset(config.preset)), load_robot(config.robot)
+    console, robot = Console(), load_robot(config.robot)
+    settings = for_sweep(reach_preset(config.preset))
     with journal_of(config, robot, console) as journal:
         run = run_sweep(
             robot,

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import handmade
 import jax
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -19,7 +20,10 @@ from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.posture.body import robot_body
 from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.training.config import settings_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -145,6 +149,44 @@ def test_the_end_of_what_lies_is_held_less_easily_than_its_middle(monkeypatch):
     places = {place.name: place for place in module.places_of(0, can)}
     usable, easy = module.nearest_contacts(known, heatmap, places["top"], p_wo, lying)
     assert easy > usable + 20.0
+
+
+def test_what_a_grasp_achieves_is_where_the_pads_are_as_the_lift_begins(monkeypatch):
+    """By MuJoCo's own sites, in the object's frame; without a lift it is nothing."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, robot = script("steered_grasps"), load_robot()
+    scene = build_scene(load_objects(("mug",)), robot)
+    body = robot_body(robot)
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.addresses.robot_qpos] = body.home
+    data.qpos[scene.addresses.object_qpos] = [0.5, 0.1, 0.2, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
+    mujoco.mj_forward(scene.model, data)
+    pads = np.stack([data.site(f.pad_site).xpos for f in robot.hand.fingers])
+    turned_back = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90° about z
+    expected = (pads - [0.5, 0.1, 0.2]) @ turned_back.T
+    phases = [[Phase.REACHING] * 2, [Phase.CLOSING] * 2, [Phase.LIFTING, Phase.FAILED]]
+    trace = SimpleNamespace(
+        phase=np.array(phases), qpos=np.tile(data.qpos, (3, 2, 1)), contacts=np.ones((3, 2, 3, 3))
+    )
+    grasper = SimpleNamespace(reacher=SimpleNamespace(body=body))
+    first, chosen, achieved = module.contacts_in_object(
+        grasper, SimpleNamespace(scene=scene), trace
+    )
+    assert achieved[0] == pytest.approx(expected, abs=1e-5) and np.isnan(achieved[1]).all()
+    assert first == pytest.approx(chosen) and first[0, 0] == pytest.approx([0.9, -0.5, 0.8])
+
+
+def test_every_place_is_steered_to_from_as_many_poses_as_asked_for(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module = script("steered_grasps")
+    one, three = (
+        module.Steered(module.SteeredConfig(objects=("pear", "mug"), poses=n)) for n in (1, 3)
+    )
+    asked = [[(place.index, place.name) for place in each._places] for each in (one, three)]
+    assert [place for place in asked[0] for _ in range(3)] == asked[1]
+    assert list(three._problem.object_index) == [place.index for place in three._places]
+    assert len(np.unique(three._problem.p_wo, axis=0)) == len(three._places)
+    assert len(np.unique(three._problem.seed)) == len(three._places)
 
 
 def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeypatch):

@@ -19,24 +19,19 @@ def test_whole_grasps_have_their_table(tmp_path):
     others = [row | {"returns": 2}, row | {"outcome": "slipped"}]
     nominal["rows"] = [*[row] * 6, *others]
     path, tables = tmp_path / "scenarios.json", make_readme.stage_tables
-    assert tables.whole_grasps(path) == tables.scenarios([path]) == tables.NOTHING
+    assert tables.whole_grasps(path) == tables.scenarios(path) == tables.NOTHING
     assert tables.grasps_by_split(path) == tables.NOTHING
     config = {"controller": "policy", "force_budget": 8.0}
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
     said, _, _, _, cube, every = tables.whole_grasps(path).splitlines()
     assert said == "Closed by the policy, with a force budget of 8 N, in native MuJoCo:"
-    in_mjx = json.loads(path.read_text())
-    in_mjx["config"]["engine"] = "mjx"
-    other = tmp_path / "other.json"
-    other.write_text(json.dumps(in_mjx).replace('"nominal"', '"windy"'))
-    with pytest.raises(FileError, match=r"other\.json: found mjx, expected as the others, mujoco"):
-        tables.scenarios([path, other])
     path.write_text(path.read_text().replace("policy", "grip"))
     assert tables.whole_grasps(path).startswith("Closed by the untrained grip alone, in native")
     cells = ["8", "87.5 (53–98)", "75.0", "75.0", "3.1", "2.5", "1", "1"]
     assert values(cube) == ["rubiks cube", *cells, "7.0 / 5.5 / 5.0"]
     assert every.startswith("| **all** | **80** |")
-    _, _, scenario = tables.scenarios([path]).splitlines()
+    said, _, _, _, scenario = tables.scenarios(path).splitlines()
+    assert said.startswith("Closed by the untrained grip alone, in native")
     assert values(scenario)[0] == "nominal: nothing happens" and values(scenario)[-1] == "2"
 
 
@@ -89,9 +84,9 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
     of_all = scenario(trials("apple", 3, 1) + trials("bowl", 0, 4) + trials("chips_can", 2), "-")
     found = {"nominal": calm, "w": windy, "b": breezy}
     eight.write_text(json.dumps({"scenarios": found, "config": {}}))
-    assert tables.grasps_in_short([eight], every) == tables.NOTHING
+    assert tables.grasps_in_short(eight, every) == tables.NOTHING
     every.write_text(json.dumps({"scenarios": {"nominal": of_all}}))
-    _, _, *lines = tables.grasps_in_short([eight], every).splitlines()
+    _, _, *lines = tables.grasps_in_short(eight, every).splitlines()
     assert [values(line) for line in lines] == [
         ["the eight", "10", "90.0", "80.0", "4.0", "3.0"],
         ["2 scenarios together", "8", "87.5", "75.0", "4.0", "3.0"],
@@ -100,15 +95,45 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
         ["1 objects kept out of it", "2", "100.0", "100.0", "4.0", "3.0"],
     ]
     eight.write_text(json.dumps({"scenarios": {"nominal": calm}, "config": {}}))
-    assert len(tables.grasps_in_short([eight], every).splitlines()) == 5
-    more = tmp_path / "9.json"
-    more.write_text(json.dumps({"scenarios": {"w": windy, "b": breezy}, "config": {}}))
-    assert [
-        values(line) for line in tables.grasps_in_short([more, eight], every).splitlines()[2:]
-    ] == [values(line) for line in lines]
-    more.write_text(json.dumps({"scenarios": {"nominal": calm}, "config": {}}))
-    with pytest.raises(FileError, match="scenarios that no other file has"):
-        tables.grasps_in_short([eight, more], every)
+    assert len(tables.grasps_in_short(eight, every).splitlines()) == 5
+
+
+def test_the_same_whole_grasps_on_two_engines_are_compared_trial_by_trial(tmp_path):
+    native, mjx = tmp_path / "native.json", tmp_path / "mjx.json"
+    tables = make_readme.stage_tables
+
+    def scenario(outcomes, lifted_s):
+        came = {"S": "success", "L": "slipped"}
+        rows = [{"outcome": came[c], "lifted_s": lifted_s, "force_mean_n": 3.0} for c in outcomes]
+        return {"rows": rows, "settings": {}, "meshes": {}}
+
+    config = {"objects": ["eight"], "episodes": 1, "seed": 9, "controller": "policy"}
+    config |= {"force_budget": 8.0}
+    found = {"nominal": scenario("SSSS", 3.0), "side_grasp": scenario("SLLS", 5.0)}
+    sha256 = {"policy": "1"}
+    native.write_text(json.dumps({"config": config, "scenarios": found, "sha256": sha256}))
+    assert tables.scenarios_by_engine(native, mjx) == tables.NOTHING
+    other = {"nominal": scenario("SSSL", 4.0), "side_grasp": scenario("SLSS", 5.0)}
+    in_mjx = config | {"engine": "mjx"}
+    record = {"config": in_mjx, "scenarios": other | {"windy": other["nominal"]}, "sha256": sha256}
+    mjx.write_text(json.dumps(record))
+    _, _, *lines = tables.scenarios_by_engine(native, mjx).splitlines()
+    nominal, side, every = ([cell.strip("*") for cell in values(line)] for line in lines)
+    assert nominal == ["nominal", "4", "100.0", "75.0", "-25.0 (-75.0 to +0.0)", "75.0",
+                       "3.0", "4.0", "3.0", "3.0"]  # fmt: skip
+    assert side[:4] == ["side grasp", "4", "50.0", "75.0"] and side[5] == "75.0"
+    assert every[:4] == ["all", "8", "75.0", "75.0"] and every[5] == "75.0"
+    moved = other | {"side_grasp": other["side_grasp"] | {"meshes": {"mug": "other"}}}
+    for change, message in (
+        ({"config": in_mjx | {"seed": 8}}, r"seed 8, expected 9, as in .*native"),
+        ({"sha256": {"policy": "2"}}, "another policy, expected that of"),
+        ({"scenarios": moved}, "side_grasp of other meshes, expected those of"),
+    ):
+        mjx.write_text(json.dumps(record | change))
+        with pytest.raises(FileError, match=message):
+            tables.scenarios_by_engine(native, mjx)
+    with pytest.raises(FileError, match=r"found mujoco, expected another engine than that of"):
+        tables.scenarios_by_engine(native, native)
 
 
 def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture
 def plain(monkeypatch):
     """The runner as it is."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
     return script("paper")
 
 
@@ -62,6 +64,7 @@ def test_done_is_what_this_revision_made_of_these_scans_and_is_still_there(
 @pytest.fixture
 def paper(tmp_path, monkeypatch):
     """The runner with three quick commands, of which one fails until it is let through."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
     module = script("paper")
     passes, ran = tmp_path / "passes", tmp_path / "ran"
     note = f"-c \"open('{ran}', 'a').write"
@@ -129,19 +132,19 @@ def test_the_folder_that_commands_of_the_paper_write_to_is_there(paper, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("gpu", "word", "processes", "platforms", "preallocates"),
+    ("gpu", "word", "processes", "platforms"),
     [
-        (False, "CORES", 10, "cpu", None),
-        (True, "CORES", 10, "cpu", None),
-        (False, "SHARERS", 10, None, "false"),
-        (True, "SHARERS", 5, None, "false"),
-        (False, "GRASPS", 10, None, "false"),
-        (True, "GRASPS", 2, None, "false"),
-        (True, "SCANS", ".", None, None),
+        (False, "CORES", 10, "cpu"),
+        (True, "CORES", 8, "cpu"),
+        (False, "SHARERS", 10, None),
+        (True, "SHARERS", 5, None),
+        (False, "GRASPS", 10, None),
+        (True, "GRASPS", 2, None),
+        (True, "SCANS", ".", None),
     ],
 )
 def test_processes_of_the_paper_share_cores_or_a_gpu(
-    paper, tmp_path, monkeypatch, gpu, word, processes, platforms, preallocates
+    paper, tmp_path, monkeypatch, gpu, word, processes, platforms
 ):
     module, began = paper.module, []
     monkeypatch.setattr(module, "ROOT", tmp_path)
@@ -150,7 +153,7 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
     for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE"):
         monkeypatch.delenv(name, raising=False)
 
-    def run(words, cwd, env, check):
+    def run(words, cwd, env, check, stdout, stderr):
         began.append((words[-1], env))
         return SimpleNamespace(returncode=0)
 
@@ -160,7 +163,7 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
     ((last, env),) = began
     assert last == str(processes)
     assert env.get("JAX_PLATFORMS") == platforms
-    assert env.get("XLA_PYTHON_CLIENT_PREALLOCATE") == preallocates
+    assert env["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
 
 
 def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
@@ -184,6 +187,110 @@ def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):
         monkeypatch.setattr(module, "has_gpu", lambda gpu=gpu: gpu)
         found = module.worded("x.py GRASPS --out y", tmp_path)
         assert found == ["x.py", *words.split(), "--out", "y"]
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_with_a_gpu_lanes_run_beside_each_other_and_nothing_runs_before_what_it_needs(
+    paper, tmp_path, monkeypatch, capsys, broken
+):
+    """Two commands of different lanes, each of which ends once the other has begun."""
+    module, folder = paper.module, tmp_path / "met"
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    monkeypatch.setattr(module, "has_gpu", lambda: True)
+    monkeypatch.setattr(module, "LAST", "-c pass")
+    folder.mkdir()
+    meet = (
+        "import pathlib, sys, time\n"
+        f"a, b = (pathlib.Path({str(folder)!r}) / x for x in sys.argv[1:3])\n"
+        "a.touch(); print('hello', b)\n"
+        "end = time.monotonic() + 30\n"
+        "while not b.exists() and time.monotonic() < end: time.sleep(0.01)\n"
+        "sys.exit(not b.exists())"
+    )
+    (tmp_path / "meet.py").write_text(meet)
+    (tmp_path / "see.py").write_text(
+        f"import pathlib, sys\nsys.exit({broken} or not pathlib.Path(sys.argv[1]).exists())"
+    )
+    parts = (
+        module.Part("one", "-", ("meet.py gpu cores GRASPS --out gpu.json",)),
+        module.Part("two", "-", ("meet.py cores gpu CORES --out cores.json",
+                                 f"see.py {folder / 'cores'} TRIALS:1 --in cores.json --out y",
+                                 f"see.py {folder / 'gpu'}")),
+    )  # fmt: skip
+    monkeypatch.setattr(module, "PARTS", parts)
+    config = module.PaperConfig(objects_dir=tmp_path, state=tmp_path / "state.json")
+    if broken:
+        with pytest.raises(MjxGraspError, match=r"see\.py.* ended with 1; \S+-two\.log has what"):
+            module.main(config)
+        kept = json.loads(config.state.read_text())["commands"]
+        assert {command.split()[1] for command in kept} == {"gpu", "cores"}
+        return
+    module.main(config)
+    assert len(json.loads(config.state.read_text())["commands"]) == 4
+    assert "hello" not in capsys.readouterr().err
+    first, *others = sorted((tmp_path / module.FOLDER / "logs").iterdir())
+    assert first.name == "001-one.log" and len(others) == 3
+    assert first.read_text() == f"hello {folder / 'cores'}\n"
+
+
+def test_a_command_waits_for_those_whose_files_it_names_and_a_figure_for_all(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    lanes = script("paper_lanes")
+    part = lanes.Part("p", "-", ("a.py --out r/a.json", "b.py --out r/b.json",
+                                 "c.py --known r/a.json --out r/c.json", "figure.py"))  # fmt: skip
+    left = {"b.py --out r/b.json", *part.commands[2:]}
+    steps = lanes.steps_of([part, part], left.__contains__, lambda command: command[0])
+    assert [(step.command[0], step.lane, len(step.after)) for step in steps] == [
+        ("b", "b", 0),
+        ("c", "c", 0),  # what it names is done
+        ("f", "f", 2),
+    ]
+    steps = lanes.steps_of([part], lambda command: True, lambda command: "one")
+    assert [len(step.after) for step in steps] == [0, 0, 1, 3]
+    ran = []
+    lanes.in_lanes(steps, ran.append)
+    assert ran == steps
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_lanes_take_what_is_ready_first_and_begin_nothing_after_an_error(monkeypatch, interrupted):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    lanes, slow, ran = script("paper_lanes"), threading.Event(), []
+    steps = [
+        lanes.Step("slow", "p", "GPU", frozenset()),
+        lanes.Step("figure", "p", "cores", frozenset({"slow"})),
+        lanes.Step("quick", "q", "cores", frozenset()),
+        lanes.Step("last", "q", "GPU", frozenset()),
+    ]
+
+    def run(step):
+        ran.append(step.command)
+        if step.command == "slow":
+            assert slow.wait(10)
+            if interrupted:
+                raise KeyboardInterrupt
+        if step.command == "quick":
+            slow.set()
+
+    if interrupted:
+        with pytest.raises(KeyboardInterrupt):
+            lanes.in_lanes(steps, run)
+        assert sorted(ran) == ["quick", "slow"]
+    else:
+        lanes.in_lanes(steps, run)
+        assert sorted(ran[:2]) == ["quick", "slow"] and sorted(ran[2:]) == ["figure", "last"]
+
+
+def test_every_command_of_the_paper_has_a_lane_and_needs_none_after_it(plain, monkeypatch):
+    monkeypatch.setattr(plain, "has_gpu", lambda: True)
+    steps = plain.steps_of(plain.PARTS, lambda command: True, plain.lane_of)
+    assert {step.lane for step in steps} == {"the GPU", "CORES", "one process"}
+    seen = set()
+    for step in steps:
+        assert step.after <= seen, step
+        seen.add(step.command)
+    monkeypatch.setattr(plain, "has_gpu", lambda: False)
+    assert {plain.lane_of(step.command) for step in steps} == {"CORES"}
 
 
 def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(

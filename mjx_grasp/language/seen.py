@@ -19,7 +19,7 @@ from mjx_grasp.language.grounding import Anchor, Target, View
 from mjx_grasp.language.pointing import LIMIT_M
 from mjx_grasp.language.rex_omni import RexOmniConfig, RexOmniGrounder, build_prompt, check_ready
 from mjx_grasp.objects.meshes import read_mesh
-from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.atomic import check_replaceable, read_json, write_json
 from mjx_grasp.records.settings import (
     CommandSettings,
     Finite,
@@ -114,7 +114,7 @@ def ground_seen(config: GroundConfig) -> tuple[Anchor, Target]:
             object.
     """
     if config.out is not None:
-        check_writable("--out", config.out)
+        check_replaceable("--out", config.out, [SCHEMA])
     target = read_target(config.mesh, config.image, config.depth, config.camera)
     build_prompt(config.instruction, target.name)  # an instruction without a place is refused
     check_ready(config.model)

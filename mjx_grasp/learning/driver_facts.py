@@ -63,12 +63,14 @@ def driver_facts(policy: Policy, file: Path, robot: RobotSpec) -> dict[str, str]
 
 
 def _finite(fact: Any) -> Any:
-    """The same with null for what is infinite, which JSON does not know: no limit."""
+    """The same with null for what is infinite, a word in records of settings: no limit."""
     match fact:
         case dict():
             return {name: _finite(value) for name, value in fact.items()}
         case list() | tuple():
             return [_finite(value) for value in fact]
+        case "inf" | "-inf":
+            return None
         case float() if not math.isfinite(fact):
             return None
     return fact

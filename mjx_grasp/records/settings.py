@@ -188,13 +188,16 @@ def added(default: Any, absent: Any) -> Any:
     return field(default=default, metadata={"absent": absent})
 
 
+_INFINITE = (math.inf, -math.inf)
+
+
 def to_record(value: Any) -> Any:
-    """Settings as plain values of JSON."""
+    """Settings as plain values of JSON, which knows no infinity: it becomes a word."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: to_record(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, tuple | list):
         return [to_record(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+    return str(value) if isinstance(value, Path) or value in _INFINITE else value
 
 
 S = TypeVar("S")
@@ -307,4 +310,6 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return (*known, *value[len(known) :])
     if isinstance(bare, type) and dataclasses.is_dataclass(bare):
         return from_record(bare, value, where)
+    if bare is float and value in map(str, _INFINITE):
+        return float(value)
     return Path(value) if bare is Path and isinstance(value, str) else value

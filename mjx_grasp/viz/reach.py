@@ -6,7 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig
+from mjx_grasp.evaluation.reach.poses import (
+    SCHEMA,
+    TUNING_SEEDS,
+    PoseDistribution,
+    SweepConfig,
+)
 from mjx_grasp.evaluation.reach.results import PAPER_RATE
 from mjx_grasp.evaluation.reach.run import SweepRun
 from mjx_grasp.evaluation.reach.sweep import BUDGETS
@@ -31,6 +36,7 @@ def write_outputs(
     """
     if config.out:
         facts = {
+            "schema": SCHEMA,
             "provenance": provenance(config.seed),
             "robot": to_record(robot.identity),
             "tuning_seeds": TUNING_SEEDS,

@@ -244,3 +244,11 @@ def test_wrong_settings_are_refused(args, monkeypatch, capsys):
     status, error = refusal(monkeypatch, capsys, "sweep_reach", *args)
     assert status == 2
     assert args[0].removeprefix("--") in error and "expected" in error
+
+
+def test_a_file_that_holds_no_sweep_is_not_replaced(tmp_path, monkeypatch, capsys):
+    other = tmp_path / "grasps.json"
+    other.write_text('{"schema": "mjx_grasp.scenarios/1"}')
+    status, error = refusal(monkeypatch, capsys, "sweep_reach", "--out", str(other))
+    assert status == 2 and "another file (mjx_grasp.scenarios/1)" in " ".join(error.split())
+    assert other.read_text() == '{"schema": "mjx_grasp.scenarios/1"}'

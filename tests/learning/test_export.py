@@ -1,6 +1,7 @@
 """A policy as ONNX: the same answers, what a driver needs, refusals before anything long."""
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from mjx_grasp.learning.numpy_policy import NumpyPolicy
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.settings import from_record, to_record
 from mjx_grasp.robot.spec import load_robot
-from mjx_grasp.tasks.config import ClosingTaskConfig
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 from mjx_grasp.tasks.layout import Segment, observation_layout
 from mjx_grasp.tasks.observation import policy_sizes
 
@@ -131,6 +132,8 @@ def test_what_has_no_limit_is_null(tmp_path):
     assert joint["torque_limit_n_m"] is None
     infinite = {"task": {"within": float("inf"), "terms": (1.0, float("-inf"))}}
     assert _finite(infinite) == {"task": {"within": None, "terms": [1.0, None]}}
+    task = EndToEndConfig()
+    assert math.isinf(task.within) and _finite(to_record(task))["within"] is None
 
 
 def test_the_range_of_budgets_is_the_trainings_own_where_it_says_so(robot):

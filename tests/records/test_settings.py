@@ -228,8 +228,19 @@ WHOLES = st.builds(
 
 @given(WHOLES)
 def test_settings_come_back_from_json_as_they_were(settings):
-    text = json.dumps(to_record(settings))
+    text = json.dumps(to_record(settings), allow_nan=False)
     assert from_record(Whole, json.loads(text)) == settings
+
+
+@pytest.mark.parametrize("never", ["inf", math.inf], ids=["today", "before"])
+def test_what_never_ends_is_a_word_in_json_and_was_a_number_before(never):
+    out = {"out": "a.json"}
+    found = from_record(Whole, out | {"timeout": never, "kind": "a"})
+    assert found.timeout == math.inf and found == Whole(Path("a.json"))
+    with pytest.raises(InputError, match=r"timeout: found '?-inf"):
+        from_record(Whole, out | {"timeout": "-inf"})
+    with pytest.raises(InputError, match=r"name: found"):
+        from_record(Part, {"name": math.inf})
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mjx_grasp.records.atomic import check_replaceable, check_writable
 from mjx_grasp.records.settings import (
     Count,
     Interval,
@@ -20,6 +21,8 @@ from mjx_grasp.records.settings import (
 )
 from mjx_grasp.records.spread import Spread
 
+SCHEMA = "mjx_grasp.reach_sweep/1"
+"""What results files say that they are."""
 TUNING_SEEDS = (1, 2, 3, 2752)
 """Poses on which settings were chosen or faults were found; results that count come from others."""
 Lengths = Annotated[tuple[Positive, Positive], Several(ascending=True)]
@@ -46,6 +49,18 @@ class SweepConfig(Spread):
     """results file to write (.json)"""
     plot: Annotated[Path, Suffix((".png",))] | None = None
     """plot to write (.png)"""
+
+
+def check_outputs(config: SweepConfig) -> None:
+    """Makes sure that what is asked for can be written, and replaces nothing but its like.
+
+    Raises:
+        InputError: It cannot, or would.
+    """
+    if config.out:
+        check_replaceable("--out", config.out, [SCHEMA])
+    if config.plot:
+        check_writable("--plot", config.plot)
 
 
 @dataclass(frozen=True)

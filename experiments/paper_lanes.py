@@ -1,0 +1,107 @@
+"""Commands beside each other: one of each lane at a time, each after those whose files it needs."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import NamedTuple
+
+from paper_parts import Part
+
+
+class Step(NamedTuple):
+    """A command that is left to do."""
+
+    command: str
+    part: str
+    """whose it is, or of several parts the first"""
+    lane: str
+    """what it keeps busy"""
+    after: frozenset[str]
+    """commands that have to be done before"""
+
+
+def steps_of(
+    parts: Sequence[Part], is_left: Callable[[str], bool], lane_of: Callable[[str], str]
+) -> list[Step]:
+    """What is left of some parts, in their order; two parts may share a command.
+
+    Args:
+        parts: All of them.
+        is_left: Whether a command is still to be done.
+        lane_of: Of a command.
+    """
+    found: dict[str, Step] = {}
+    for part in parts:
+        for k, command in enumerate(part.commands):
+            after = frozenset(one for one in part.commands[:k] if needs(command, one))
+            if is_left(command) and command not in found:
+                found[command] = Step(command, part.name, lane_of(command), after)
+    return [step._replace(after=step.after & found.keys()) for step in found.values()]
+
+
+def needs(command: str, before: str) -> bool:
+    """Whether a command reads what one before it in its part has made.
+
+    What names the other's file or folder does; what has no `--out`, figures and sums, reads them
+    all.
+    """
+    if "--out" not in shlex.split(command):
+        return True
+    words = shlex.split(before)
+    return "--out" in words and words[words.index("--out") + 1] in command
+
+
+def in_lanes(steps: Sequence[Step], run: Callable[[Step], None]) -> None:
+    """Runs all steps, one of each lane at a time; in a lane the first that can be run is next.
+
+    Args:
+        steps: None before one that it is to be after.
+        run: Does a step, in a thread of its lane. Once it has raised an error for one of them, none
+            is begun, and what is under way in the other lanes ends first.
+    """
+    left, done, failed = list(steps), set[str](), threading.Event()
+    turn = threading.Condition()
+
+    def following(lane: str) -> Step | None:
+        with turn:
+            while not failed.is_set():
+                own = [step for step in left if step.lane == lane]
+                ready = [step for step in own if step.after <= done]
+                if ready:
+                    left.remove(ready[0])
+                if ready or not own:
+                    return ready[0] if ready else None
+                turn.wait()
+        return None
+
+    def stop() -> None:
+        failed.set()
+        with turn:
+            turn.notify_all()
+
+    def work(lane: str) -> None:
+        while step := following(lane):
+            try:
+                run(step)
+            except BaseException:
+                stop()
+                raise
+            with turn:
+                done.add(step.command)
+                turn.notify_all()
+
+    lanes = list(dict.fromkeys(step.lane for step in steps))
+    if len(lanes) < 2:
+        for lane in lanes:
+            work(lane)
+        return
+    with ThreadPoolExecutor(len(lanes)) as pool:
+        try:
+            for ended in as_completed([pool.submit(work, lane) for lane in lanes]):
+                ended.result()
+        except BaseException:  # an interrupt reaches this thread alone
+            stop()
+            raise

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
@@ -39,7 +39,8 @@ from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.trials import GraspProblem
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.vectors import turned, turned_back
-from mjx_grasp.grasp.candidates import vertex_candidates
+from mjx_grasp.grasp.candidates import Candidates, vertex_candidates
+from mjx_grasp.grasp.config import TargetConfig
 from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
@@ -53,6 +54,7 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
+from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import held_easily, start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.journal import Journal, journaled
@@ -212,15 +214,32 @@ def nearest_contacts(
     assert settings.plan is not None
     plan, targets = settings.plan, settings.selection.targets
     candidates = vertex_candidates(heatmap)
-    ways = target_options(candidates, targets)
-    p, R_wo = jnp.asarray(p_wo), so3.quat_to_mat(jnp.asarray(quat))
     good = candidates.valid & (jnp.asarray(heatmap.score_without_com) >= least)
-    usable = admissible(candidates, ways, p, R_wo, targets) & good[ways.candidate]
-    around = Surroundings.still(known.shape, p, R_wo, known.com, known.weight)
-    easy = held_easily(plan, ways, usable, around)
-    apart = np.linalg.norm(np.asarray(ways.position) - place.anchor.point, axis=-1).mean(axis=-1)
-    near = (1e3 * apart[np.asarray(counted)] for counted in (usable, easy))
+    found = _usable(plan, targets, known, candidates, good, jnp.asarray(p_wo), jnp.asarray(quat))
+    contacts, *each = map(np.asarray, found)
+    apart = np.linalg.norm(contacts - place.anchor.point, axis=-1).mean(axis=-1)
+    near = (1e3 * apart[counted] for counted in each)
     return Nearest(*(round(float(some.min()), 1) if some.size else None for some in near))
+
+
+@functools.partial(jax.jit, static_argnames=("plan", "targets"))
+def _usable(
+    plan: PlanConfig,
+    targets: TargetConfig,
+    known: Known,
+    candidates: Candidates,
+    good: Bool[Array, " n"],
+    p_wo: Float[Array, " 3"],
+    quat: Float[Array, " 4"],
+) -> tuple[Float[Array, "v 3 3"], Bool[Array, " v"], Bool[Array, " v"]]:
+    """Contacts in the object's frame, which of them can be used, and which hold it easily.
+
+    Compiled, as JAX keeps what its loops outside of compiled functions have closed over.
+    """
+    ways, R_wo = target_options(candidates, targets), so3.quat_to_mat(quat)
+    usable = admissible(candidates, ways, p_wo, R_wo, targets) & good[ways.candidate]
+    around = Surroundings.still(known.shape, p_wo, R_wo, known.com, known.weight)
+    return ways.position, usable, held_easily(plan, ways, usable, around)
 
 
 def _distance(contacts: Float[np.ndarray, "3 3"], anchor: Anchor) -> float | None:

@@ -3,6 +3,7 @@
   python experiments/paper.py --list
   python experiments/paper.py --objects-dir SCANS reach eight
   python experiments/paper.py --objects-dir SCANS
+  python experiments/paper.py --objects-dir SCANS --quick
 
 What is done for this revision of the code is not done again, so that a run that was stopped goes
 on; several of the commands go on within themselves too. With a GPU up to three commands run beside
@@ -22,7 +23,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from typing import Any
 import jax
 import tyro
 from paper_lanes import Step, in_lanes, steps_of
-from paper_parts import FOLDER, PARTS, Part
+from paper_parts import FEWER, FOLDER, PARTS, TRIALS, Part, fewer
 from rich.console import Console
 from rich.table import Table
 
@@ -52,7 +53,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SCHEMA = "mjx_grasp.paper/1"
 LAST = "experiments/make_readme.py"
 _CORES, _SHARERS = "CORES", "SHARERS"
-_TRIALS = "TRIALS:"
+QUICKLY = 128
+"""Trials of an object and condition with `--quick` [-]"""
 _IN_MJX = "--engine", "mjx"
 _GRASPS = "GRASPS"
 _CORES_EACH = 2
@@ -71,6 +73,9 @@ class PaperConfig(CommandSettings):
 
     parts: tyro.conf.Positional[tuple[str, ...]] = ()
     """by name; all of them if none is named"""
+    quick: bool = False
+    """only evaluations of the shipped policies, in MJX where there is a choice, with fewer trials
+    than published; needs a GPU"""
     list: bool = False
     """only say what there is, and what of it is done"""
     objects_dir: Path | None = None
@@ -80,7 +85,7 @@ class PaperConfig(CommandSettings):
 
 
 def chosen(names: tuple[str, ...]) -> list[Part]:
-    """Parts by name, in their own order.
+    """Parts by name, in their own order; without names all but those that have to be named.
 
     Raises:
         InputError: There is no such part.
@@ -89,7 +94,19 @@ def chosen(names: tuple[str, ...]) -> list[Part]:
     for name in names:
         if name not in known:
             raise InputError("parts", name, f"some of {', '.join(known)}")
-    return [part for part in PARTS if not names or part.name in names]
+    return [part for part in PARTS if part.name in names or not (names or part.if_named)]
+
+
+def left_out(part: Part, quick: bool) -> str | None:
+    """Why a part is not made, None if it is."""
+    if quick and part.not_quick:
+        return f"is not made quickly: {part.not_quick}"
+    return None if has_gpu() or not part.without_gpu else f"needs a GPU: {part.without_gpu}"
+
+
+def quickened(part: Part) -> Part:
+    """A part whose commands make fewer trials on a GPU."""
+    return replace(part, commands=tuple(fewer(command) for command in part.commands))
 
 
 def machine() -> str:
@@ -130,40 +147,83 @@ def listed(parts: list[Part], state: dict[str, Any], scans: Path | None) -> Tabl
         ready = sum(done(state, command, scans) for command in part.commands)
         before = [state[c]["seconds"] for c in part.commands if c in state]
         seconds = f"{sum(before):.0f}" if before else "?"
-        shown = part.shows + (" (needs a GPU)" if part.without_gpu else "")
+        notes = ("needs a GPU", part.without_gpu), ("only if named", part.if_named)
+        noted = ", ".join(note for note, it_is in notes if it_is)
+        shown = part.shows + (f" ({noted})" if noted else "")
         table.add_row(part.name, shown, f"{ready} of {len(part.commands)}", seconds)
     return table
 
 
+class Kept:
+    """What is done, in a file.
+
+    Args:
+        path: The file, which need not be there yet.
+
+    Raises:
+        FileError: It is damaged, or of something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        what = "the state of experiments/paper.py"
+        kept = read_json(path, what) if path.exists() else {}
+        if kept and kept.get("schema") != SCHEMA:
+            raise FileError(path, f"schema {kept.get('schema')!r}", SCHEMA)
+        self.path, self.made = path, provenance(seed=0)
+        self.commands: dict[str, Any] = kept.get("commands", {})
+        self.runs: list[dict[str, Any]] = kept.get("runs", [])
+
+    def ended(self, command: str, scans: Path, seconds: float) -> None:
+        """Notes a command; as one with other trials has written to the same file, that one goes."""
+        for other in (command.replace(FEWER, TRIALS), fewer(command)):
+            self.commands.pop(other, None)
+        self.commands[command] = {"scans": digest_of(scans), **_on_this_machine(seconds)}
+        self._write()
+
+    def all_ended(self, parts: Sequence[Part], quick: bool, commands: int, seconds: float) -> None:
+        """Notes how long parts have taken together."""
+        made = {"parts": [part.name for part in parts], "quick": quick, "commands": commands}
+        self.runs.append(made | _on_this_machine(seconds))
+        self._write()
+
+    def _write(self) -> None:
+        record = {"commands": self.commands, "runs": self.runs, "provenance": self.made}
+        write_json(self.path, {"schema": SCHEMA} | record)
+
+
+def _on_this_machine(seconds: float) -> dict[str, Any]:
+    return {"git": git_revision(), "seconds": round(seconds, 1), "machine": machine()}
+
+
 def main(config: PaperConfig) -> None:
     """Makes what is not done."""
-    console, parts = Console(stderr=True), chosen(config.parts)
-    what = "the state of experiments/paper.py"
-    kept = read_json(config.state, what) if config.state.exists() else {}
-    if kept and kept.get("schema") != SCHEMA:
-        raise FileError(config.state, f"schema {kept.get('schema')!r}", SCHEMA)
-    state: dict[str, Any] = kept.get("commands", {})
+    console, kept = Console(stderr=True), Kept(config.state)
+    names = config.parts or (tuple(part.name for part in PARTS) if config.list else ())
+    parts = [quickened(part) if config.quick else part for part in chosen(names)]
     if config.list:
-        Console().print(listed(parts, state, config.objects_dir))
+        Console().print(listed(parts, kept.commands, config.objects_dir))
         return
     if config.objects_dir is None or not config.objects_dir.is_dir():
         found = str(config.objects_dir) if config.objects_dir else "nothing"
         raise InputError("--objects-dir", found, "the folder of the scans")
-    scans, possible = config.objects_dir, [p for p in parts if has_gpu() or not p.without_gpu]
+    if config.quick and not has_gpu():
+        raise InputError("--quick", "no GPU", "a GPU that MJX runs on")
+    scans, possible = config.objects_dir, []
     for part in parts:
-        if part not in possible:
-            console.print(f"[yellow]{part.name} needs a GPU: {part.without_gpu}[/yellow]")
-    steps = steps_of(possible, lambda command: not done(state, command, scans), lane_of)
+        if reason := left_out(part, config.quick):
+            console.print(f"[yellow]{part.name} {reason}[/yellow]")
+        else:
+            possible.append(part)
+    steps = steps_of(possible, lambda command: not done(kept.commands, command, scans), lane_of)
     beside = len({step.lane for step in steps}) > 1
-    began, made, writing = time.monotonic(), provenance(seed=0), threading.Lock()
-    left = list(steps)
+    began, writing, left = time.monotonic(), threading.Lock(), list(steps)
     with counting_progress(console if beside else None) as bar:
         commands = bar.add_task("commands", total=len(steps))
 
         def make(step: Step) -> None:
             number, started = steps.index(step) + 1, time.monotonic()
             with writing:
-                spent = f"{(started - began) / 60:.0f} min so far{_guess(left, state)}"
+                spent = f"{(started - began) / 60:.0f} min so far{_guess(left, kept.commands)}"
             console.print(f"[bold]{number}/{len(steps)} {step.part}[/bold], {spent}")
             try:
                 _run(step.command, scans, console, _log_of(step) if beside else None)
@@ -172,24 +232,21 @@ def main(config: PaperConfig) -> None:
                     console.print(f"[red]{error}[/red]; what is under way ends first")
                 raise
             with writing:
-                state[step.command] = {
-                    "git": git_revision(),
-                    "scans": digest_of(scans),
-                    "seconds": round(time.monotonic() - started, 1),
-                    "machine": machine(),
-                }
-                write_json(config.state, {"schema": SCHEMA, "commands": state, "provenance": made})
+                kept.ended(step.command, scans, time.monotonic() - started)
                 left.remove(step)
             bar.update(commands, advance=1)
 
         in_lanes(steps, make)
     _run(LAST, scans, console)
+    if steps:
+        kept.all_ended(possible, config.quick, len(steps), time.monotonic() - began)
 
 
 def _log_of(step: Step) -> Path:
     """Where a command's words go; the same file whatever else is left to do."""
     every = list(dict.fromkeys(command for part in PARTS for command in part.commands))
-    return ROOT / FOLDER / "logs" / f"{every.index(step.command) + 1:03d}-{step.part}.log"
+    number = every.index(step.command.replace(FEWER, TRIALS)) + 1
+    return ROOT / FOLDER / "logs" / f"{number:03d}-{step.part}.log"
 
 
 def _guess(left: Sequence[Step], state: dict[str, Any]) -> str:
@@ -205,9 +262,11 @@ def _guess(left: Sequence[Step], state: dict[str, Any]) -> str:
 def lane_of(command: str) -> str:
     """What a command keeps busy; without a GPU all share the cores.
 
-    What is timed on the GPU, trainings and all, has no neighbour there.
+    Several processes on the GPU compile for much of their time: one beside them has it then.
     """
-    on_gpu = _TRIALS, _GRASPS, _SHARERS, " ".join(_IN_MJX), "mjx_grasp.train"
+    if has_gpu() and any(word in command for word in (_GRASPS, _SHARERS)):
+        return "the GPU, shared"
+    on_gpu = TRIALS, FEWER, " ".join(_IN_MJX), "mjx_grasp.train"
     if has_gpu() and any(word in command for word in on_gpu):
         return "the GPU"
     return _CORES if _CORES in command or not has_gpu() else "one process"
@@ -243,14 +302,14 @@ def worded(command: str, scans: Path) -> list[str]:
     given = {"SCANS": there, _CORES: str(own), _SHARERS: str(sharers)}
     words = []
     for word in shlex.split(command):
-        few = word.removeprefix(_TRIALS)
+        few, fewer = word.removeprefix(TRIALS), word.startswith(FEWER)
         if word == _GRASPS:
             beside = max(1, cores // _CORES_EACH_IN_MJX) if gpu else cores
             words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
-        elif few == word:
+        elif few == word and not fewer:
             words.append(given.get(word, word))
         elif gpu:
-            words += [*_IN_MJX, "--episodes", str(EPISODES)]
+            words += [*_IN_MJX, "--episodes", str(QUICKLY if fewer else EPISODES)]
         else:
             words += ["--episodes", few, "--processes", str(cores)]
     return words

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+TRIALS, FEWER = "TRIALS:", "FEWER:"
 REACHED = "assets/handoffs_reached.npz"
 FOLDER = "runs/paper"
 """of what is no result: states and policies on the way, and what is done"""
@@ -52,6 +54,9 @@ END_TO_END_RUNS = {
     **{f"e2e-paper-{k}": f"{AS_PUBLISHED} --seed {k}" for k in (0, 1)},
     **{f"e2e-helped-{k}": f"{OURS} --ppo.iterations 1500 {HELPED} --seed {k}" for k in (0, 1)},
     "e2e-alone-0": f"{OURS} --ppo.iterations 1500",
+}
+"""As published, and the best; how each is trained."""
+END_TO_END_VARIANTS = {
     **SHORTER,
     **LONGER,
     **EARLIER,
@@ -63,9 +68,9 @@ END_TO_END_RUNS = {
         f"{OURS} --ppo.iterations 620 {HELPED} --task.raised 0 --task.reward.posture 0"
     ),
 }
-"""How each is trained."""
-DRAWN = [run for run in END_TO_END_RUNS if run not in SHORTER | EARLIER]
-"""Whose curves are drawn: of those with the slower arm the long ones."""
+"""With a slower arm, or without what made the best."""
+DRAWN = [run for run in END_TO_END_RUNS | END_TO_END_VARIANTS if run not in SHORTER | EARLIER]
+"""Whose curves are drawn once all are there: of those with the slower arm the long ones."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,35 @@ class Part:
     MuJoCo"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
+    not_quick: str | None = None
+    """why `--quick` leaves it out; None: it does not"""
+    if_named: str | None = None
+    """what it takes that it is only made if it is named; None: it is made with all the others"""
+
+
+def fewer(command: str) -> str:
+    """A command that makes fewer trials on a GPU than were published."""
+    return command.replace(TRIALS, FEWER)
+
+
+def _end_to_end(trainings: dict[str, str], drawn: Iterable[str]) -> tuple[str, ...]:
+    """Trains, tries and notes policies from home to the lift."""
+    return (
+        *(f"{train} --out {FOLDER}/{run}" for run, train in trainings.items()),
+        *(
+            "experiments/evaluate_controllers.py --objects-dir SCANS "
+            f"--policy {FOLDER}/{run}/policy.npz --force-budgets 3 --squeeze-forces "
+            f"--episodes 32 --processes CORES --out experiments/results/end_to_end/{run}.json"
+            for run in trainings
+        ),
+        *(
+            f"experiments/{script} " + " ".join(f"{FOLDER}/{run}" for run in runs)
+            for script, runs in (
+                ("collect_runs.py --replace", trainings),
+                ("learning_curves.py", drawn),
+            )
+        ),
+    )
 
 
 PARTS = (
@@ -133,6 +167,17 @@ PARTS = (
             "--squeeze-forces 1 2 3 4 5 6 7 8 9 10 11 12 --episodes 128 "
             "--known experiments/results/eight_native.json "
             "--processes CORES --out experiments/results/squeezes/eight.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
+            "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --keeping-gain 0 --squeeze-forces "
+            "--episodes 128 --processes CORES --out experiments/results/not_kept/eight.json",
+            "experiments/force_figure.py",
+        ),
+        not_quick="native MuJoCo takes most of an hour for them; `engines` has them in MJX",
+    ),
+    Part(
+        "conditions",
+        "not of it: misplaced, slippery, light and heavy objects, and noisy torques",
+        (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions offset10 "
             "offset20 friction04 friction05 friction11 light heavy --force-budgets 3 8 "
             "--squeeze-forces 2 3 5 8 12 --grip-frictions 0.4 "
@@ -141,10 +186,6 @@ PARTS = (
             "nominal offset10 offset20 friction04 friction05 friction11 light heavy hard "
             "--force-budgets 3 8 --squeeze-forces 3 5 8 --grip-frictions 0.4 "
             "TRIALS:32 --out experiments/results/conditions/noisy.json",
-            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
-            "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --keeping-gain 0 --squeeze-forces "
-            "--episodes 128 --processes CORES --out experiments/results/not_kept/eight.json",
-            "experiments/force_figure.py",
             "experiments/least_force.py --objects-dir SCANS",
         ),
     ),
@@ -210,6 +251,7 @@ PARTS = (
             "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
             "--processes CORES --out experiments/results/scenarios.json",
         ),
+        not_quick="native MuJoCo takes an hour for them; `engines` has most of them in MJX",
     ),
     Part(
         "ablation",
@@ -221,6 +263,7 @@ PARTS = (
             "--episodes 24 GRASPS "
             "--out experiments/results/pipeline_ablation_walls.json",
         ),
+        not_quick="every variant is compiled by itself",
     ),
     Part(
         "paper-policy",
@@ -232,27 +275,21 @@ PARTS = (
             f"experiments/collect_runs.py --replace {FOLDER}/seed0",
         ),
         without_gpu="its 31 M steps take days on a few cores",
+        not_quick="it trains",
     ),
     Part(
         "end-to-end",
         "the baseline: one policy from home to the lift, as published and with our settings",
-        (
-            STATES,
-            *(f"{train} --out {FOLDER}/{run}" for run, train in END_TO_END_RUNS.items()),
-            *(
-                "experiments/evaluate_controllers.py --objects-dir SCANS "
-                f"--policy {FOLDER}/{run}/policy.npz --force-budgets 3 --squeeze-forces "
-                f"--episodes 32 --processes CORES --out experiments/results/end_to_end/{run}.json"
-                for run in END_TO_END_RUNS
-            ),
-            *(
-                f"experiments/{script} " + " ".join(f"{FOLDER}/{run}" for run in runs)
-                for script, runs in (
-                    ("collect_runs.py --replace", END_TO_END_RUNS),
-                    ("learning_curves.py", DRAWN),
-                )
-            ),
-        ),
-        without_gpu="its trainings of 31 to 603 M steps take weeks on a few cores",
+        (STATES, *_end_to_end(END_TO_END_RUNS, drawn=END_TO_END_RUNS)),
+        without_gpu="its trainings of 31 to 393 M steps take weeks on a few cores",
+        not_quick="it trains",
+    ),
+    Part(
+        "end-to-end-variants",
+        "not of it: what the baseline needs, beside those of `end-to-end`, which it draws too",
+        _end_to_end(END_TO_END_VARIANTS, drawn=DRAWN),
+        without_gpu="its trainings of 162 to 603 M steps take weeks on a few cores",
+        not_quick="it trains",
+        if_named="three hours of training",
     ),
 )

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from paper_parts import Part
+from paper_parts import FEWER, Part, fewer
 from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation.front_tables import headline
@@ -52,18 +52,25 @@ def paper_times(path: Path, parts: Sequence[Part]) -> str:
         path: What it keeps of its commands, `--state`.
         parts: All of them.
     """
-    commands = (read(path) or {"commands": {}})["commands"]
-    rows = []
+    kept = read(path) or {}
+    commands, rows = kept.get("commands", {}), []
+
+    def row(name: str, counted: str, quick: bool, entries: Sequence[dict[str, Any]]) -> None:
+        minutes = sum(entry["seconds"] for entry in entries) / 60
+        machines = dict.fromkeys(entry["machine"] for entry in entries)
+        code = dict.fromkeys(short_revision(entry) for entry in entries)
+        words = "; ".join(machines), ", ".join(code)
+        rows.append((name, counted, "yes" if quick else "", f"{minutes:.1f}", *words))
+
     for part in parts:
-        ran = [commands[command] for command in part.commands if command in commands]
+        forms = [form for one in part.commands for form in dict.fromkeys((one, fewer(one)))]
+        ran = [form for form in forms if form in commands]
         if ran:
-            minutes = sum(entry["seconds"] for entry in ran) / 60
-            machines = dict.fromkeys(entry["machine"] for entry in ran)
-            code = dict.fromkeys(short_revision(entry) for entry in ran)
             counted = f"{len(ran)} of {len(part.commands)}"
-            row = (part.name, counted, f"{minutes:.1f}", "; ".join(machines), ", ".join(code))
-            rows.append(row)
-    header = ("part", "commands", "minutes", "machine", "code")
+            row(part.name, counted, any(FEWER in c for c in ran), [commands[c] for c in ran])
+    for run in kept.get("runs", []):
+        row(f"{len(run['parts'])} parts together", str(run["commands"]), run["quick"], [run])
+    header = ("part", "commands", "quick", "minutes", "machine", "code")
     return markdown(Table("Times", header, tuple(rows))) if rows else NOTHING
 
 

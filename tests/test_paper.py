@@ -36,7 +36,7 @@ def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(plai
 
 def test_trainings_that_are_made_again_take_the_place_of_their_rows(plain):
     collects = [c for part in plain.PARTS for c in part.commands if "collect_runs" in c]
-    assert len(collects) == 2 and all("--replace" in command for command in collects)
+    assert len(collects) == 3 and all("--replace" in command for command in collects)
 
 
 def test_done_is_what_this_revision_made_of_these_scans_and_is_still_there(
@@ -180,6 +180,45 @@ def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
         assert found == ["x.py", *words.split(), "--out", "y"]
 
 
+def test_a_quick_paper_makes_fewer_trials_and_no_training_and_full_ones_anew(
+    paper, tmp_path, monkeypatch, capsys
+):
+    module, ran = paper.module, []
+    monkeypatch.setattr(module, "_run", lambda command, *_: ran.append(command))
+    monkeypatch.setattr(module, "is_committed", lambda git: True)
+    parts = (
+        module.Part("one", "-", ("a.py", "b.py TRIALS:8")),
+        module.Part("two", "-", ("c.py",), not_quick="it trains"),
+        module.Part("three", "-", ("d.py",), if_named="days"),
+    )
+    monkeypatch.setattr(module, "PARTS", parts)
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    quick = module.PaperConfig(quick=True, objects_dir=scans, state=tmp_path / "state.json")
+    with pytest.raises(InputError, match="--quick: found 'no GPU', expected a GPU that MJX runs"):
+        module.main(quick)
+    monkeypatch.setattr(module, "has_gpu", lambda: True)
+
+    module.main(quick)
+    assert sorted(ran) == sorted(["a.py", "b.py FEWER:8", module.LAST])
+    assert "two is not made quickly: it trains" in capsys.readouterr().err
+    assert module.worded("b.py FEWER:8", tmp_path)[1:] == ["--engine", "mjx", "--episodes", "128"]
+    ran.clear()
+    module.main(replace(quick, quick=False))
+    assert sorted(ran) == sorted(["b.py TRIALS:8", "c.py", module.LAST])
+    ran.clear()
+    module.main(quick)
+    assert ran == ["b.py FEWER:8", module.LAST], "the full one has taken its place"
+    module.main(replace(quick, quick=False, parts=("three",)))
+    runs = json.loads(quick.state.read_text())["runs"]
+    assert [(run["parts"], run["quick"], run["commands"]) for run in runs] == [
+        (["one"], True, 2),
+        (["one", "two"], False, 2),
+        (["one"], True, 1),
+        (["three"], False, 1),
+    ]
+
+
 def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):
     module = paper.module
     monkeypatch.setattr(module, "usable_cores", lambda: 16)
@@ -284,10 +323,11 @@ def test_lanes_take_what_is_ready_first_and_begin_nothing_after_an_error(monkeyp
 def test_every_command_of_the_paper_has_a_lane_and_needs_none_after_it(plain, monkeypatch):
     monkeypatch.setattr(plain, "has_gpu", lambda: True)
     steps = plain.steps_of(plain.PARTS, lambda command: True, plain.lane_of)
-    assert {step.lane for step in steps} == {"the GPU", "CORES", "one process"}
+    assert {step.lane for step in steps} == {"the GPU", "the GPU, shared", "CORES", "one process"}
     seen = set()
     for step in steps:
         assert step.after <= seen, step
+        assert "mjx_grasp.train" not in step.command or step.after == seen, "its speed is kept"
         seen.add(step.command)
     monkeypatch.setattr(plain, "has_gpu", lambda: False)
     assert {plain.lane_of(step.command) for step in steps} == {"CORES"}

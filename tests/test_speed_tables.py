@@ -47,18 +47,26 @@ def test_the_controllers_time_has_its_table(tmp_path):
 def test_what_the_papers_parts_took_has_its_table(tmp_path):
     path, table = tmp_path / "times.json", make_readme.speed_tables.paper_times
     parts = [
-        make_readme.speed_tables.Part("one", "the first", ("a", "b", "c")),
+        make_readme.speed_tables.Part("one", "the first", ("a", "b", "c TRIALS:8")),
         make_readme.speed_tables.Part("two", "not timed", ("d",)),
     ]
     assert table(path, parts) == make_readme.stage_tables.NOTHING
     commands = {
         "a": {"git": "f" * 40, "seconds": 90.0, "machine": "a GPU, 16 cores"},
-        "c": {"git": "0" * 40, "seconds": 33.0, "machine": "a GPU, 16 cores"},
+        "c FEWER:8": {"git": "0" * 40, "seconds": 33.0, "machine": "a GPU, 16 cores"},
         "gone": {"git": "0" * 40, "seconds": 1.0, "machine": "another"},
     }
+    both = f"{'f' * 12}, {'0' * 12}"
     path.write_text(json.dumps({"commands": commands}))
     _, _, row = table(path, parts).splitlines()
-    assert values(row) == ["one", "2 of 3", "2.0", "a GPU, 16 cores", f"{'f' * 12}, {'0' * 12}"]
+    assert values(row) == ["one", "2 of 3", "yes", "2.0", "a GPU, 16 cores", both]
+    commands["c TRIALS:8"] = commands.pop("c FEWER:8")
+    run = commands["a"] | {"parts": ["one", "two"], "quick": True, "commands": 4}
+    path.write_text(json.dumps({"commands": commands, "runs": [run]}))
+    _, _, row, together = table(path, parts).splitlines()
+    assert values(row)[2] == "" and values(row)[3] == "2.0"
+    cells = ["2 parts together", "4", "yes", "1.5", "a GPU, 16 cores", "f" * 12]
+    assert values(together) == cells
 
 
 def test_many_grasps_at_once_have_their_table(tmp_path):

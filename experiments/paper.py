@@ -262,11 +262,10 @@ def _guess(left: Sequence[Step], state: dict[str, Any]) -> str:
 def lane_of(command: str) -> str:
     """What a command keeps busy; without a GPU all share the cores.
 
-    Several processes on the GPU compile for much of their time: one beside them has it then.
+    What is timed on the GPU, trainings and all, has no neighbour there; and what is not takes as
+    long beside another as the two take one after the other.
     """
-    if has_gpu() and any(word in command for word in (_GRASPS, _SHARERS)):
-        return "the GPU, shared"
-    on_gpu = TRIALS, FEWER, " ".join(_IN_MJX), "mjx_grasp.train"
+    on_gpu = TRIALS, FEWER, _GRASPS, _SHARERS, " ".join(_IN_MJX), "mjx_grasp.train"
     if has_gpu() and any(word in command for word in on_gpu):
         return "the GPU"
     return _CORES if _CORES in command or not has_gpu() else "one process"

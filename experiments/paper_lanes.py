@@ -36,17 +36,10 @@ def steps_of(
     found: dict[str, Step] = {}
     for part in parts:
         for k, command in enumerate(part.commands):
-            after = {one for one in part.commands[:k] if needs(command, one)}
-            if is_timed(command):
-                after |= found.keys()
+            after = frozenset(one for one in part.commands[:k] if needs(command, one))
             if is_left(command) and command not in found:
-                found[command] = Step(command, part.name, lane_of(command), frozenset(after))
+                found[command] = Step(command, part.name, lane_of(command), after)
     return [step._replace(after=step.after & found.keys()) for step in found.values()]
-
-
-def is_timed(command: str) -> bool:
-    """Whether it says how fast it is: a training, which has no neighbour from earlier parts."""
-    return "mjx_grasp.train" in command
 
 
 def needs(command: str, before: str) -> bool:

@@ -113,7 +113,7 @@ def whole_grasps(
         lesser_cost=80.0 if steered else 35.0,
         at_least=STEERED_AT_LEAST if steered else (),
         easily=1.45 if steered else float("inf"),
-        far_weight=120.0 if steered else 0.0,
+        far_weight=400.0 if steered else 0.0,
         lesser_scores=(0.0,),
         approach=approach,
     )

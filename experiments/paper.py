@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import count
@@ -105,7 +106,7 @@ def left_out(part: Part, quick: bool) -> str | None:
 
 
 def quickened(part: Part) -> Part:
-    """A part whose commands make fewer trials on a GPU."""
+    """A part whose commands are those of `--quick`."""
     return replace(part, commands=tuple(fewer(command) for command in part.commands))
 
 
@@ -147,9 +148,9 @@ def listed(parts: list[Part], state: dict[str, Any], scans: Path | None) -> Tabl
         ready = sum(done(state, command, scans) for command in part.commands)
         before = [state[c]["seconds"] for c in part.commands if c in state]
         seconds = f"{sum(before):.0f}" if before else "?"
-        notes = ("needs a GPU", part.without_gpu), ("only if named", part.if_named)
-        noted = ", ".join(note for note, it_is in notes if it_is)
-        shown = part.shows + (f" ({noted})" if noted else "")
+        notes = ["needs a GPU"] * bool(part.without_gpu) + ["not quick"] * bool(part.not_quick)
+        notes += [f"only if named: {part.if_named}"] * bool(part.if_named)
+        shown = part.shows + (f" ({', '.join(notes)})" if notes else "")
         table.add_row(part.name, shown, f"{ready} of {len(part.commands)}", seconds)
     return table
 
@@ -169,25 +170,36 @@ class Kept:
         kept = read_json(path, what) if path.exists() else {}
         if kept and kept.get("schema") != SCHEMA:
             raise FileError(path, f"schema {kept.get('schema')!r}", SCHEMA)
-        self.path, self.made = path, provenance(seed=0)
+        self.path = path
         self.commands: dict[str, Any] = kept.get("commands", {})
         self.runs: list[dict[str, Any]] = kept.get("runs", [])
 
+    def begin(self, commands: Iterable[str]) -> None:
+        """What is made again is not done, whatever comes of it, and in whatever form it was."""
+        again = {fewer(command) for command in commands}
+        self.commands = {c: entry for c, entry in self.commands.items() if fewer(c) not in again}
+        self._write()
+
     def ended(self, command: str, scans: Path, seconds: float) -> None:
-        """Notes a command; as one with other trials has written to the same file, that one goes."""
-        for other in (command.replace(FEWER, TRIALS), fewer(command)):
-            self.commands.pop(other, None)
+        """Notes a command."""
         self.commands[command] = {"scans": digest_of(scans), **_on_this_machine(seconds)}
         self._write()
 
-    def all_ended(self, parts: Sequence[Part], quick: bool, commands: int, seconds: float) -> None:
-        """Notes how long parts have taken together."""
-        made = {"parts": [part.name for part in parts], "quick": quick, "commands": commands}
-        self.runs.append(made | _on_this_machine(seconds))
+    def all_ended(self, parts: Sequence[Part], quick: bool, seconds: float) -> None:
+        """Notes how long several parts have taken together, in the place of what was noted of them.
+
+        Args:
+            parts: All of whose commands were made.
+            quick: Whether with fewer trials.
+            seconds: From the first command to the last one.
+        """
+        run = {"parts": [part.name for part in parts], "quick": quick}
+        others = (one for one in self.runs if not run.items() <= one.items())
+        self.runs = [*others, run | _on_this_machine(seconds)]
         self._write()
 
     def _write(self) -> None:
-        record = {"commands": self.commands, "runs": self.runs, "provenance": self.made}
+        record = {"commands": self.commands, "runs": self.runs, "provenance": provenance(seed=0)}
         write_json(self.path, {"schema": SCHEMA} | record)
 
 
@@ -214,16 +226,27 @@ def main(config: PaperConfig) -> None:
             console.print(f"[yellow]{part.name} {reason}[/yellow]")
         else:
             possible.append(part)
-    steps = steps_of(possible, lambda command: not done(kept.commands, command, scans), lane_of)
+    if not possible:
+        raise InputError("parts", config.parts, "some that can be made here so")
+    whole = {fewer(command): command for part in PARTS for command in part.commands}
+
+    def is_left(command: str) -> bool:
+        """What has been made in full is not made quickly in its place."""
+        forms = {command, whole[command]} if config.quick else {command}
+        return not any(done(kept.commands, form, scans) for form in forms)
+
+    steps = steps_of(possible, is_left, lane_of)
     beside = len({step.lane for step in steps}) > 1
     began, writing, left = time.monotonic(), threading.Lock(), list(steps)
+    before = kept.commands
+    kept.begin(step.command for step in steps)
     with counting_progress(console if beside else None) as bar:
         commands = bar.add_task("commands", total=len(steps))
 
         def make(step: Step) -> None:
             number, started = steps.index(step) + 1, time.monotonic()
             with writing:
-                spent = f"{(started - began) / 60:.0f} min so far{_guess(left, kept.commands)}"
+                spent = f"{(started - began) / 60:.0f} min so far{_guess(left, before)}"
             console.print(f"[bold]{number}/{len(steps)} {step.part}[/bold], {spent}")
             try:
                 _run(step.command, scans, console, _log_of(step) if beside else None)
@@ -237,15 +260,15 @@ def main(config: PaperConfig) -> None:
             bar.update(commands, advance=1)
 
         in_lanes(steps, make)
+    if len(possible) > 1 and len(steps) == len({c for part in possible for c in part.commands}):
+        kept.all_ended(possible, config.quick, time.monotonic() - began)
     _run(LAST, scans, console)
-    if steps:
-        kept.all_ended(possible, config.quick, len(steps), time.monotonic() - began)
 
 
 def _log_of(step: Step) -> Path:
     """Where a command's words go; the same file whatever else is left to do."""
-    every = list(dict.fromkeys(command for part in PARTS for command in part.commands))
-    number = every.index(step.command.replace(FEWER, TRIALS)) + 1
+    every = list(dict.fromkeys(fewer(command) for part in PARTS for command in part.commands))
+    number = every.index(fewer(step.command)) + 1
     return ROOT / FOLDER / "logs" / f"{number:03d}-{step.part}.log"
 
 
@@ -301,16 +324,17 @@ def worded(command: str, scans: Path) -> list[str]:
     given = {"SCANS": there, _CORES: str(own), _SHARERS: str(sharers)}
     words = []
     for word in shlex.split(command):
-        few, fewer = word.removeprefix(TRIALS), word.startswith(FEWER)
+        kind, _, trials = word.partition(":")
         if word == _GRASPS:
             beside = max(1, cores // _CORES_EACH_IN_MJX) if gpu else cores
             words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
-        elif few == word and not fewer:
-            words.append(given.get(word, word))
+        elif f"{kind}:" not in (TRIALS, FEWER):
+            words.append(given.get(word, re.sub(r"^(\d+)\|\d+$", r"\1", word)))
         elif gpu:
-            words += [*_IN_MJX, "--episodes", str(QUICKLY if fewer else EPISODES)]
+            trials = str(QUICKLY if f"{kind}:" == FEWER else EPISODES)
+            words += [*_IN_MJX, "--episodes", trials]
         else:
-            words += ["--episodes", few, "--processes", str(cores)]
+            words += ["--episodes", trials, "--processes", str(cores)]
     return words
 
 

@@ -26,7 +26,9 @@ class Step(NamedTuple):
 def steps_of(
     parts: Sequence[Part], is_left: Callable[[str], bool], lane_of: Callable[[str], str]
 ) -> list[Step]:
-    """What is left of some parts, in their order; two parts may share a command.
+    """What is left of some parts, in their order, and what reads what that makes.
+
+    Two parts may share a command.
 
     Args:
         parts: All of them.
@@ -37,7 +39,7 @@ def steps_of(
     for part in parts:
         for k, command in enumerate(part.commands):
             after = frozenset(one for one in part.commands[:k] if needs(command, one))
-            if is_left(command) and command not in found:
+            if command not in found and (is_left(command) or after & found.keys()):
                 found[command] = Step(command, part.name, lane_of(command), after)
     return [step._replace(after=step.after & found.keys()) for step in found.values()]
 

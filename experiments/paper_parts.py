@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -69,8 +70,8 @@ END_TO_END_VARIANTS = {
     ),
 }
 """With a slower arm, or without what made the best."""
-DRAWN = [run for run in END_TO_END_RUNS | END_TO_END_VARIANTS if run not in SHORTER | EARLIER]
-"""Whose curves are drawn once all are there: of those with the slower arm the long ones."""
+DRAWN = [run for run in END_TO_END_VARIANTS if run not in SHORTER | EARLIER]
+"""Those of them whose curves join the others: of those with the slower arm the long ones."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,18 @@ class Part:
     cores, fewer beside a GPU, `SHARERS` for that of processes that share a GPU, or without one the
     cores; `TRIALS:56` for as many trials as published in MJX on a GPU, or without one 56 in native
     MuJoCo; `GRASPS` for whole grasps in MJX on a GPU that some processes share, or in native
-    MuJoCo"""
+    MuJoCo; `64|16` for 64, or 16 with `--quick`"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
     not_quick: str | None = None
     """why `--quick` leaves it out; None: it does not"""
     if_named: str | None = None
-    """what it takes that it is only made if it is named; None: it is made with all the others"""
+    """what it takes, where that is so much that it is only made if it is named"""
 
 
 def fewer(command: str) -> str:
-    """A command that makes fewer trials on a GPU than were published."""
-    return command.replace(TRIALS, FEWER)
+    """A command as `--quick` makes it; what is so already stays."""
+    return re.sub(r"\b\d+\|(\d+)\b", r"\1", command.replace(TRIALS, FEWER))
 
 
 def _end_to_end(trainings: dict[str, str], drawn: Iterable[str]) -> tuple[str, ...]:
@@ -134,7 +135,7 @@ PARTS = (
         (
             "experiments/steering_figure.py --objects-dir SCANS",
             "experiments/steering_numbers.py --objects-dir SCANS",
-            "experiments/steered_grasps.py --objects-dir SCANS --poses 4 GRASPS",
+            "experiments/steered_grasps.py --objects-dir SCANS --poses 4|1 GRASPS",
         ),
     ),
     Part(
@@ -150,7 +151,7 @@ PARTS = (
         "tip errors at handoffs that the reaching controller comes to",
         (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --objects-dir SCANS "
-            "--per-object 128 --max-rounds 5 --processes SHARERS "
+            "--per-object 128|32 --max-rounds 5 --processes SHARERS "
             "--out experiments/results/handoffs_reached.npz",
         ),
     ),
@@ -197,7 +198,7 @@ PARTS = (
             "--conditions nominal hard --force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 "
             "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 128 "
             "--out experiments/results/engines/eight.json",
-            "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
+            "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64|16 --seed 9 "
             "GRASPS --out experiments/results/engines/scenarios.json",
         ),
         without_gpu="MJX takes days for them on a few cores",
@@ -206,7 +207,7 @@ PARTS = (
         "objects",
         "success on all objects that have start states, held-out ones too",
         (
-            "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96 "
+            "-m mjx_grasp.handoffs --kind reached --objects train held_out --per-object 96|32 "
             "--max-rounds 3 --seed 11 --objects-dir SCANS --processes SHARERS "
             f"--out {FOLDER}/reached_all.npz",
             "experiments/evaluate_controllers.py --objects-dir SCANS --objects train held_out "
@@ -286,7 +287,7 @@ PARTS = (
     ),
     Part(
         "end-to-end-variants",
-        "not of it: what the baseline needs, beside those of `end-to-end`, which it draws too",
+        "not of it: what the baseline of `end-to-end` needs, by trainings without it",
         _end_to_end(END_TO_END_VARIANTS, drawn=DRAWN),
         without_gpu="its trainings of 162 to 603 M steps take weeks on a few cores",
         not_quick="it trains",

@@ -242,8 +242,10 @@ def test_words_beside_curves_are_apart_and_below_the_top():
 
 def test_the_trainings_of_the_paper_end_to_end_are_what_the_tables_hold():
     """Their commands have the settings of the runs whose rows are shipped, and of the curves."""
-    (part,) = [p for p in script("paper_parts").PARTS if p.name == "end-to-end"]
-    trainings = [c for c in part.commands if c.startswith("-m mjx_grasp.train ")]
+    module = script("paper_parts")
+    parts = [p for p in module.PARTS if p.name in ("end-to-end", "end-to-end-variants")]
+    commands = [command for part in parts for command in part.commands]
+    trainings = [c for c in commands if c.startswith("-m mjx_grasp.train ")]
     configs = {c.out.name: c for c in (parse(shlex.split(x)[2:]) for x in trainings)}
     rows = json.loads((ROOT / "experiments" / "results" / "training_runs.json").read_text())["rows"]
     shipped = {row["run"]: row["provenance"]["command"] for row in rows}
@@ -253,4 +255,4 @@ def test_the_trainings_of_the_paper_end_to_end_are_what_the_tables_hold():
             assert getattr(own, part_of) == getattr(made, part_of), (name, part_of)
     curves = json.loads((ROOT / "experiments/results/learning_curves.json").read_text())["runs"]
     drawn = {name for name, run in curves.items() if run["task"] == "end_to_end"}
-    assert drawn == set(script("paper_parts").DRAWN) and drawn < configs.keys()
+    assert drawn == {*module.END_TO_END_RUNS, *module.DRAWN} and drawn < configs.keys()

@@ -180,43 +180,105 @@ def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
         assert found == ["x.py", *words.split(), "--out", "y"]
 
 
-def test_a_quick_paper_makes_fewer_trials_and_no_training_and_full_ones_anew(
-    paper, tmp_path, monkeypatch, capsys
-):
-    module, ran = paper.module, []
-    monkeypatch.setattr(module, "_run", lambda command, *_: ran.append(command))
+@pytest.fixture
+def quick(paper, tmp_path, monkeypatch):
+    """The runner on a GPU with commands that only note that they ran, or fail."""
+    module, ran, failing = paper.module, [], set()
+
+    def run(command, *_):
+        ran.append(command)
+        if command in failing:
+            raise MjxGraspError("broken")
+
+    monkeypatch.setattr(module, "_run", run)
     monkeypatch.setattr(module, "is_committed", lambda git: True)
+    monkeypatch.setattr(module, "has_gpu", lambda: True)
     parts = (
-        module.Part("one", "-", ("a.py", "b.py TRIALS:8")),
+        module.Part("one", "-", ("a.py", "b.py TRIALS:8 --in 64|16", "figure.py")),
         module.Part("two", "-", ("c.py",), not_quick="it trains"),
         module.Part("three", "-", ("d.py",), if_named="days"),
     )
     monkeypatch.setattr(module, "PARTS", parts)
     scans = tmp_path / "scans"
     scans.mkdir()
-    quick = module.PaperConfig(quick=True, objects_dir=scans, state=tmp_path / "state.json")
-    with pytest.raises(InputError, match="--quick: found 'no GPU', expected a GPU that MJX runs"):
-        module.main(quick)
-    monkeypatch.setattr(module, "has_gpu", lambda: True)
+    config = module.PaperConfig(quick=True, objects_dir=scans, state=tmp_path / "state.json")
 
-    module.main(quick)
-    assert sorted(ran) == sorted(["a.py", "b.py FEWER:8", module.LAST])
+    def made(**changes):
+        ran.clear()
+        module.main(replace(config, **changes))
+        return sorted(command for command in ran if command != module.LAST)
+
+    return SimpleNamespace(module=module, config=config, made=made, failing=failing, ran=ran)
+
+
+FULL, FEWER = "b.py TRIALS:8 --in 64|16", "b.py FEWER:8 --in 16"
+
+
+def test_a_quick_paper_makes_fewer_trials_and_leaves_out_what_takes_long(quick, tmp_path, capsys):
+    assert quick.made() == ["a.py", FEWER, "figure.py"]
     assert "two is not made quickly: it trains" in capsys.readouterr().err
-    assert module.worded("b.py FEWER:8", tmp_path)[1:] == ["--engine", "mjx", "--episodes", "128"]
-    ran.clear()
-    module.main(replace(quick, quick=False))
-    assert sorted(ran) == sorted(["b.py TRIALS:8", "c.py", module.LAST])
-    ran.clear()
-    module.main(quick)
-    assert ran == ["b.py FEWER:8", module.LAST], "the full one has taken its place"
-    module.main(replace(quick, quick=False, parts=("three",)))
-    runs = json.loads(quick.state.read_text())["runs"]
-    assert [(run["parts"], run["quick"], run["commands"]) for run in runs] == [
-        (["one"], True, 2),
-        (["one", "two"], False, 2),
-        (["one"], True, 1),
-        (["three"], False, 1),
-    ]
+    assert quick.made() == []
+    for command, words in (
+        (FEWER, "--engine mjx --episodes 128 --in 16"),
+        (FULL, "--engine mjx --episodes 448 --in 64"),
+    ):
+        assert quick.module.worded(command, tmp_path) == ["b.py", *words.split()]
+    with pytest.raises(InputError, match=r"parts: found .*two.*, expected some that can be made"):
+        quick.made(parts=("two",))
+
+
+def test_a_paper_is_made_in_full_after_a_quick_look_and_stays_so(quick):
+    quick.made()
+    assert quick.made(quick=False) == [FULL, "c.py", "figure.py"], "of other trials: drawn again"
+    assert quick.made() == [], "a quick look takes nothing away"
+    assert quick.made(quick=False) == []
+    assert quick.made(quick=False, parts=("three",)) == ["d.py"]
+
+
+@pytest.mark.parametrize("fails", [FEWER, "figure.py"])
+def test_what_a_broken_quick_look_may_have_written_is_made_again_in_full(quick, fails):
+    module = quick.module
+    quick.made(quick=False)
+    module.git_revision = lambda: "another"
+    quick.failing.add(fails)
+    with pytest.raises(MjxGraspError):
+        quick.made()
+    module.git_revision = lambda: "abc"
+    quick.failing.clear()
+    assert quick.made(quick=False) == ["a.py", FULL, "figure.py"]
+
+
+def test_what_all_parts_took_together_is_kept_once_and_only_of_whole_runs(quick):
+    def runs():
+        kept = json.loads(quick.config.state.read_text())["runs"]
+        return [(run["parts"], run["quick"]) for run in kept]
+
+    quick.made(quick=False, parts=("one",))
+    assert runs() == [], "of one part its commands tell"
+    quick.made(quick=False)
+    assert runs() == [], "some was done before"
+    for git in ("another", "a third"):
+        quick.module.git_revision = lambda git=git: git
+        quick.made(quick=False)
+        assert runs() == [(["one", "two"], False)]
+    assert quick.module.Kept(quick.config.state).runs[0]["git"] == "a third"
+
+
+def test_a_quick_look_needs_a_gpu(quick, monkeypatch):
+    monkeypatch.setattr(quick.module, "has_gpu", lambda: False)
+    with pytest.raises(InputError, match="--quick: found 'no GPU', expected a GPU"):
+        quick.made()
+
+
+def test_a_quick_look_trains_nothing_and_reads_no_training(plain):
+    parts = [part for part in plain.PARTS if not part.not_quick]
+    commands = [command for part in parts for command in part.commands]
+    assert len(parts) > 8 and not any("mjx_grasp.train" in command for command in commands)
+    assert not any("policy.npz" in command for command in commands)
+    fewer = [plain.fewer(command) for command in commands]
+    assert any("TRIALS:" in command or "|" in command for command in commands)
+    assert not any("TRIALS:" in command or "|" in command for command in fewer)
+    assert [plain.fewer(command) for command in fewer] == fewer
 
 
 def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):

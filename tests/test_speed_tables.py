@@ -61,11 +61,11 @@ def test_what_the_papers_parts_took_has_its_table(tmp_path):
     _, _, row = table(path, parts).splitlines()
     assert values(row) == ["one", "2 of 3", "yes", "2.0", "a GPU, 16 cores", both]
     commands["c TRIALS:8"] = commands.pop("c FEWER:8")
-    run = commands["a"] | {"parts": ["one", "two"], "quick": True, "commands": 4}
+    run = commands["a"] | {"parts": ["one", "two"], "quick": True}
     path.write_text(json.dumps({"commands": commands, "runs": [run]}))
     _, _, row, together = table(path, parts).splitlines()
     assert values(row)[2] == "" and values(row)[3] == "2.0"
-    cells = ["2 parts together", "4", "yes", "1.5", "a GPU, 16 cores", "f" * 12]
+    cells = ["2 parts together", "all", "yes", "1.5", "a GPU, 16 cores", "f" * 12]
     assert values(together) == cells
 
 

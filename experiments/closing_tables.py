@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from collect_runs import run_rows
-from stage_tables import NOTHING, markdown, read, short_revision
+from markdown_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.front_tables import (

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from collect_runs import run_rows
+from markdown_tables import NOTHING, markdown, read, short_revision
 from policy_tables import named_run
-from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL

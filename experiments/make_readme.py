@@ -15,6 +15,7 @@ from pathlib import Path
 
 import closing_tables
 import end_to_end_tables
+import grasp_tables
 import object_tables
 import paper_tables
 import pipeline_tables
@@ -27,8 +28,8 @@ import speed_tables
 import stage_tables
 import steering_tables
 import tyro
+from markdown_tables import markdown, short_revision
 from paper_parts import PARTS
-from stage_tables import markdown, short_revision
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError, InputError
@@ -71,7 +72,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
     throughput = [p for p in files if schemas[p] == SCHEMAS[ThroughputRow]]
     return {
         root / "README.md": {
-            "grasps": stage_tables.grasps_in_short(scenarios, folder / "grasps_all.json"),
+            "grasps": grasp_tables.grasps_in_short(scenarios, folder / "grasps_all.json"),
             "results": closing_tables.means(results),
         },
         root / "docs" / "reproduction.md": {
@@ -150,24 +151,24 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "reach-speed": reach_tables.reach_speed(
                 [folder / f"reach_{device}.json" for device in ("cpu", "h200")]
             ),
-            "grasps": stage_tables.whole_grasps(scenarios),
-            "grasps-all": stage_tables.grasps_by_split(folder / "grasps_all.json"),
-            "scenarios": stage_tables.scenarios(scenarios),
-            "scenarios-engines": stage_tables.scenarios_by_engine(
+            "grasps": grasp_tables.whole_grasps(scenarios),
+            "grasps-all": grasp_tables.grasps_by_split(folder / "grasps_all.json"),
+            "scenarios": grasp_tables.scenarios(scenarios),
+            "scenarios-engines": grasp_tables.scenarios_by_engine(
                 scenarios, folder / "engines" / "scenarios.json"
             ),
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"
             ),
             "walls": pipeline_tables.pipeline_ablation(folder / "pipeline_ablation_walls.json"),
-            "foreign": stage_tables.foreign_meshes(folder / "foreign_meshes.json"),
+            "foreign": grasp_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": speed_tables.grasper_speed(
                 [folder / f"grasper_{device}.json" for device in ("cpu", "h200_host")]
             ),
             "grasper-worlds": speed_tables.grasper_worlds(
                 sorted(folder.glob("grasper_worlds_*.json"))
             ),
-            "route": stage_tables.route(folder / "route.json"),
+            "route": grasp_tables.route(folder / "route.json"),
             "first-run": speed_tables.first_run(folder / "make_train_cpu.json"),
             "tests": speed_tables.tests(folder / "tests_cpu.json"),
             "distances": reach_tables.signed_distances(folder / "signed_distance_scans.json"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from stage_tables import NOTHING, markdown
+from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation import paper

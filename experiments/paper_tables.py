@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from collect_runs import run_rows
 from end_to_end_tables import bar_is_met, best, from_home
-from stage_tables import NOTHING, markdown
+from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.judging import SameStarts, mean_force, mean_success, resampled

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from choose_policy import points_table, ranked
 from collect_runs import run_rows
-from stage_tables import NOTHING, markdown
+from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.judging import (

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING, markdown, read
+from markdown_tables import NOTHING, markdown, read
 
 from mjx_grasp.evaluation.reach.results import PAPER_HANDOFF_MM, PAPER_RATE
 from mjx_grasp.evaluation.reach.sweep import BUDGETS

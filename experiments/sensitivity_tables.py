@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from markdown_tables import NOTHING, markdown, read
 from paper_tables import cell_text, summed
-from stage_tables import NOTHING, markdown, read
 
 from mjx_grasp.records.table import Table
 

@@ -23,10 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 import tyro
+from markdown_tables import markdown
 from rich.console import Console
 from rich.progress import track
 from scans import has_scan
-from stage_tables import markdown
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import InputError

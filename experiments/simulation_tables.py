@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage_tables import NOTHING, markdown
+from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from markdown_tables import NOTHING, markdown, read, short_revision
 from paper_parts import FEWER, Part, fewer
-from stage_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.tables import read_groups

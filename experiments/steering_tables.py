@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stage_tables import NOTHING, markdown, read
+from markdown_tables import NOTHING, markdown, read
 
 from mjx_grasp.records.table import Table
 

@@ -196,7 +196,7 @@ def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeyp
     meshes |= {"ring": held | {"outcome": "success", "lifted_s": 4.24}}
     path = tmp_path / "foreign.json"
     path.write_text(json.dumps({"schema": "mjx_grasp.foreign_meshes/1", "meshes": meshes}))
-    assert script("stage_tables").foreign_meshes(path).splitlines()[2:] == [
+    assert script("grasp_tables").foreign_meshes(path).splitlines()[2:] == [
         "| cone | never lifted, not lifted |",
         "| crate | too large |",
         "| ring | success, lifted after 4.2 s |",
@@ -537,7 +537,7 @@ def test_the_table_and_the_picture_of_sensitivity(tmp_path, monkeypatch):
     nominal = {"friction": 0.8, "mass": 1.0, "stiffness": 1.0, "torque": 1.0}
     path = tmp_path / "sensitivity.json"
     table = script("sensitivity_tables").sensitivity
-    assert table(path) == script("stage_tables").NOTHING
+    assert table(path) == script("markdown_tables").NOTHING
     path.write_text(json.dumps({"controllers": parts, "nominal": nominal}))
     full = "100.0 (100–100), 2.0 N"
     assert table(path).splitlines()[2:] == [

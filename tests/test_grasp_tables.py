@@ -18,7 +18,7 @@ def test_whole_grasps_have_their_table(tmp_path):
     row = {"object": "rubiks_cube", "outcome": "success", "returns": 0}
     others = [row | {"returns": 2}, row | {"outcome": "slipped"}]
     nominal["rows"] = [*[row] * 6, *others]
-    path, tables = tmp_path / "scenarios.json", make_readme.stage_tables
+    path, tables = tmp_path / "scenarios.json", make_readme.grasp_tables
     assert tables.whole_grasps(path) == tables.scenarios(path) == tables.NOTHING
     assert tables.grasps_by_split(path) == tables.NOTHING
     config = {"controller": "policy", "force_budget": 8.0}
@@ -52,7 +52,7 @@ def test_objects_of_training_and_others_have_sums_of_their_own(tmp_path):
     config = {"controller": "policy", "force_budget": 8.0}
     path = tmp_path / "all.json"
     path.write_text(json.dumps({"scenarios": {"nominal": nominal}, "config": config}))
-    *_, training, others, refused = make_readme.stage_tables.grasps_by_split(path).splitlines()
+    *_, training, others, refused = make_readme.grasp_tables.grasps_by_split(path).splitlines()
     assert "33.3 % lifted and held, 16.7 % up after 9 s" in training
     assert "of the 3 trials of 6 in which there was a way, 66.7 % and 33.3 %" in training
     assert "100.0 % lifted and held" in others and "of the 2 trials of 2" in others
@@ -75,7 +75,7 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
         return {"settings": {"description": says}, "objects": names, "rows": rows}
 
     tables, (eight, every) = (
-        make_readme.stage_tables,
+        make_readme.grasp_tables,
         (tmp_path / n for n in ("8.json", "all.json")),
     )
     calm = scenario(trials("apple", 9, 1), "nothing happens")
@@ -100,7 +100,7 @@ def test_whole_grasps_in_short_are_of_all_trials_of_their_kind(tmp_path):
 
 def test_the_same_whole_grasps_on_two_engines_are_compared_trial_by_trial(tmp_path):
     native, mjx = tmp_path / "native.json", tmp_path / "mjx.json"
-    tables = make_readme.stage_tables
+    tables = make_readme.grasp_tables
 
     def scenario(outcomes, lifted_s):
         came = {"S": "success", "L": "slipped"}
@@ -138,7 +138,7 @@ def test_the_same_whole_grasps_on_two_engines_are_compared_trial_by_trial(tmp_pa
 
 def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):
     table = make_readme.closing_tables.trials
-    assert table(tmp_path, ["a"]) == make_readme.stage_tables.NOTHING
+    assert table(tmp_path, ["a"]) == make_readme.grasp_tables.NOTHING
     rows = [{"object": "mug", "episodes": n, "successes": 1} for n in (8, 8)]
     (tmp_path / "a.json").write_text(json.dumps({"rows": rows}))
     of_both = {"controllers": [{"cells": [rows, [{"object": "mug", "outcomes": "SSSSNLLSSSSS"}]]}]}

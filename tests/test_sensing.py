@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 def experiments(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     yield
-    for name in ("sensed_forces", "sensing", "sensing_figure", "sensing_tables", "stage_tables"):
+    for name in ("sensed_forces", "sensing", "sensing_figure", "sensing_tables", "markdown_tables"):
         sys.modules.pop(name, None)
 
 

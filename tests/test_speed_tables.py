@@ -31,7 +31,7 @@ def test_a_mesh_of_one_device_stands_beside_the_training_and_loops_have_their_ti
 
 def test_the_controllers_time_has_its_table(tmp_path):
     path, table = tmp_path / "grasper.json", make_readme.speed_tables.grasper_speed
-    assert table([]) == make_readme.stage_tables.NOTHING
+    assert table([]) == make_readme.speed_tables.NOTHING
     tick = {"count": 500, "p50": 1.234, "p99": 2.5}
     of_phase = {"reaching": tick, "failed": tick | {"count": 0}}
     alone = dict.fromkeys(of_phase, tick | {"p50": 0.5, "p99": 0.75})
@@ -50,7 +50,7 @@ def test_what_the_papers_parts_took_has_its_table(tmp_path):
         make_readme.speed_tables.Part("one", "the first", ("a", "b", "c TRIALS:8")),
         make_readme.speed_tables.Part("two", "not timed", ("d",)),
     ]
-    assert table(path, parts) == make_readme.stage_tables.NOTHING
+    assert table(path, parts) == make_readme.speed_tables.NOTHING
     commands = {
         "a": {"git": "f" * 40, "seconds": 90.0, "machine": "a GPU, 16 cores"},
         "c FEWER:8": {"git": "0" * 40, "seconds": 33.0, "machine": "a GPU, 16 cores"},
@@ -71,7 +71,7 @@ def test_what_the_papers_parts_took_has_its_table(tmp_path):
 
 def test_many_grasps_at_once_have_their_table(tmp_path):
     path, table = tmp_path / "worlds.json", make_readme.speed_tables.grasper_worlds
-    assert table([]) == make_readme.stage_tables.NOTHING
+    assert table([]) == make_readme.speed_tables.NOTHING
     times = {"physics": 1.234, "ticks": 0.9, "with plans": 0.8}
     record = {
         "worlds": 4096, "objects": ["a", "b"], "physics_dt": 0.005, "plan_s": 40.96,
@@ -85,7 +85,7 @@ def test_many_grasps_at_once_have_their_table(tmp_path):
 
 def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
     table = make_readme.speed_tables.devices
-    assert table([]) == make_readme.stage_tables.NOTHING
+    assert table([]) == make_readme.speed_tables.NOTHING
     row = {
         "worlds": 4096,
         "outcome": "finished",

@@ -145,7 +145,7 @@ def test_the_three_layouts_hold_the_same_cells(monkeypatch):
     table = replace(success_table([*eight(9), *eight(5, 3.0)]), title="a < b & c")
 
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "experiments")
-    lines = import_module("stage_tables").markdown(table).splitlines()
+    lines = import_module("markdown_tables").markdown(table).splitlines()
     found = [[c.strip(" *") for c in line.strip("|").split("|")] for line in lines]
     assert tuple(found[0]) == table.header
     assert [tuple(r) for r in found[2:]] == list(table.rows)

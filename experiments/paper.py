@@ -7,8 +7,8 @@
 
 What is done for this revision of the code is not done again, so that a run that was stopped goes
 on; several of the commands go on within themselves too. With a GPU up to three commands run beside
-each other, in the lanes of `lane_of`, and what they say goes to files. The last step puts the
-numbers into the READMEs.
+each other, in the lanes of `lane_of`, and what they say goes to files. `--quick` is for a look at
+most of it. The last step puts the numbers into the READMEs.
 `docs/reproduction.md` says where each table and figure is shown.
 """
 
@@ -73,7 +73,7 @@ class PaperConfig(CommandSettings):
     """Which parts to make."""
 
     parts: tyro.conf.Positional[tuple[str, ...]] = ()
-    """by name; all of them if none is named"""
+    """by name; if none is named all but those that have to be, see `--list`"""
     quick: bool = False
     """only evaluations of the shipped policies, in MJX where there is a choice, with fewer trials
     than published; needs a GPU"""

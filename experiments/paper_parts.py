@@ -85,7 +85,7 @@ class Part:
     cores, fewer beside a GPU, `SHARERS` for that of processes that share a GPU, or without one the
     cores; `TRIALS:56` for as many trials as published in MJX on a GPU, or without one 56 in native
     MuJoCo; `GRASPS` for whole grasps in MJX on a GPU that some processes share, or in native
-    MuJoCo; `64|16` for 64, or 16 with `--quick`"""
+    MuJoCo; `128|32` for 128, or 32 with `--quick`"""
     without_gpu: str | None = None
     """what it takes without a GPU, where that is too much; None: every machine can do it"""
     not_quick: str | None = None
@@ -198,7 +198,7 @@ PARTS = (
             "--conditions nominal hard --force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 "
             "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 128 "
             "--out experiments/results/engines/eight.json",
-            "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64|16 --seed 9 "
+            "-m mjx_grasp.scenarios --objects-dir SCANS --objects eight --episodes 64 --seed 9 "
             "GRASPS --out experiments/results/engines/scenarios.json",
         ),
         without_gpu="MJX takes days for them on a few cores",

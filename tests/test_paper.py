@@ -281,6 +281,19 @@ def test_a_quick_look_trains_nothing_and_reads_no_training(plain):
     assert [plain.fewer(command) for command in fewer] == fewer
 
 
+def test_a_quick_look_makes_the_trials_that_native_ones_are_compared_with(plain):
+    """Tables of both engines refuse files of other trials, and would stop the last step."""
+    words = [shlex.split(plain.fewer(c)) for part in plain.PARTS for c in part.commands]
+    episodes = {
+        made[made.index("--out") + 1]: made[made.index("--episodes") + 1]
+        for made in words
+        if "--out" in made and "--episodes" in made
+    }
+    results = "experiments/results"
+    for one, other in (("eight_native", "eight"), ("scenarios", "scenarios")):
+        assert episodes[f"{results}/{one}.json"] == episodes[f"{results}/engines/{other}.json"]
+
+
 def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):
     module = paper.module
     monkeypatch.setattr(module, "usable_cores", lambda: 16)

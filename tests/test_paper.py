@@ -180,6 +180,11 @@ def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
         assert found == ["x.py", *words.split(), "--out", "y"]
 
 
+FULL = "b.py TRIALS:8 --in 64|16 --out README.md"
+FEWER = "b.py FEWER:8 --in 16 --out README.md"
+"""A command that needs none before it; its file is there."""
+
+
 @pytest.fixture
 def quick(paper, tmp_path, monkeypatch):
     """The runner on a GPU with commands that only note that they ran, or fail."""
@@ -194,7 +199,7 @@ def quick(paper, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "is_committed", lambda git: True)
     monkeypatch.setattr(module, "has_gpu", lambda: True)
     parts = (
-        module.Part("one", "-", ("a.py", "b.py TRIALS:8 --in 64|16", "figure.py")),
+        module.Part("one", "-", ("a.py", FULL, "figure.py")),
         module.Part("two", "-", ("c.py",), not_quick="it trains"),
         module.Part("three", "-", ("d.py",), if_named="days"),
     )
@@ -211,16 +216,13 @@ def quick(paper, tmp_path, monkeypatch):
     return SimpleNamespace(module=module, config=config, made=made, failing=failing, ran=ran)
 
 
-FULL, FEWER = "b.py TRIALS:8 --in 64|16", "b.py FEWER:8 --in 16"
-
-
 def test_a_quick_paper_makes_fewer_trials_and_leaves_out_what_takes_long(quick, tmp_path, capsys):
     assert quick.made() == ["a.py", FEWER, "figure.py"]
     assert "two is not made quickly: it trains" in capsys.readouterr().err
     assert quick.made() == []
     for command, words in (
-        (FEWER, "--engine mjx --episodes 128 --in 16"),
-        (FULL, "--engine mjx --episodes 448 --in 64"),
+        (FEWER, "--engine mjx --episodes 128 --in 16 --out README.md"),
+        (FULL, "--engine mjx --episodes 448 --in 64 --out README.md"),
     ):
         assert quick.module.worded(command, tmp_path) == ["b.py", *words.split()]
     with pytest.raises(InputError, match=r"parts: found .*two.*, expected some that can be made"):

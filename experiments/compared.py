@@ -22,6 +22,7 @@ from mjx_grasp.evaluation.trials import (
     Controller,
     Trials,
     by_object,
+    force_apart,
     paired_draws,
     run_trials,
     zero_controller,
@@ -226,7 +227,7 @@ class Runner:
         self._found, self._episodes, self._seed, self._engine = found, episodes, seed, engine
         self._widest = StartNoise(angle_rad=angle_rad)
         self._worlds = episodes * len(found.names)
-        self._made: dict[str, tuple[Task, Controller]] = {}
+        self._tasks: dict[TaskConfig, Task] = {}
 
     def rows(self, name: str, at: Mapping[str, Any], noise: StartNoise) -> list[dict[str, Any]]:
         """Trials of a controller under a condition, a row per object.
@@ -237,13 +238,15 @@ class Runner:
             noise: What its starts draw; from the seed all have the same draws.
         """
         who, names, starts = self._found.contestants[name], self._found.names, self._world.starts
-        if name not in self._made:
-            task = self._world.task(self._engine, self._worlds, who.task, self._widest, False)
-            self._made[name] = task, who.act or zero_controller(task)
+        config, force = force_apart(who.task)
+        if config not in self._tasks:
+            made = self._world.task(self._engine, self._worlds, config, self._widest, False)
+            self._tasks[config] = made
+        task = self._tasks[config]
         noise = replace(noise, budget_n=(who.force, who.force))
         index = [self._world.scene.object_index(of) for of in names]
-        draw = paired_draws(starts, index, self._episodes, noise, self._seed)
-        trials = run_trials(*self._made[name], draw, self._worlds)
+        draw = paired_draws(starts, index, self._episodes, noise, self._seed, force)
+        trials = run_trials(task, who.act or zero_controller(task), draw, self._worlds)
         return rows_of(trials, at, names)
 
 

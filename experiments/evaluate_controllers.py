@@ -285,7 +285,7 @@ class _Job(NamedTuple):
 
 def _compiled(one: EvaluateConfig) -> Hashable:
     """What of an evaluation decides which functions are compiled; the rest is drawn."""
-    grip = one.squeeze_force, one.squeeze_split, one.grip
+    grip = one.squeeze_split, one.grip
     return one.controller, *grip, one.angle_deg > 0, one.robot_errors, one.keeping_gain
 
 

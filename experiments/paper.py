@@ -54,7 +54,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SCHEMA = "mjx_grasp.paper/1"
 LAST = "experiments/make_readme.py"
 _CORES, _SHARERS = "CORES", "SHARERS"
-QUICKLY = 128
+QUICKLY = 64
 """Trials of an object and condition with `--quick` [-]"""
 _IN_MJX = "--engine", "mjx"
 _GRASPS = "GRASPS"
@@ -338,6 +338,17 @@ def worded(command: str, scans: Path) -> list[str]:
     return words
 
 
+def _more_environment(command: str) -> dict[str, str]:
+    """What a command's own environment has beside this one's."""
+    if _CORES in command:  # processes that share all cores would only wait for each other on a GPU
+        return {"JAX_PLATFORMS": "cpu"}
+    if "mjx_grasp.train" in command:
+        return {}
+    # Kernels are not tried out for each function: only trainings run long enough to gain that back.
+    own = os.environ.get("XLA_FLAGS", "")  # of two flags the later one counts
+    return {"XLA_FLAGS": f"--xla_gpu_autotune_level=0 {own}".strip()}
+
+
 def _run(command: str, scans: Path, console: Console, log: Path | None = None) -> None:
     """Runs a command of this repository in its root.
 
@@ -353,8 +364,7 @@ def _run(command: str, scans: Path, console: Console, log: Path | None = None) -
     words = going_on(worded(command, scans))
     console.print(f"[dim]python {shlex.join(words)}[/dim]")
     (ROOT / FOLDER / "logs").mkdir(parents=True, exist_ok=True)  # commands write there
-    # Processes that share all cores would only wait for each other on one GPU.
-    env = os.environ | _SHARED | ({"JAX_PLATFORMS": "cpu"} if _CORES in command else {})
+    env = os.environ | _SHARED | _more_environment(command)
     with log.open("w") if log else nullcontext() as out:
         code = subprocess.run(
             [sys.executable, *words], cwd=ROOT, env=env, check=False, stdout=out, stderr=out

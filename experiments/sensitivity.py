@@ -68,6 +68,12 @@ def changes(config: SensitivityConfig) -> dict[str, list[float]]:
     return {factor: values for factor, values in apart.items() if values}
 
 
+def _limit(cell: Cell) -> float:
+    """Factor on the fingers' torque limits in a cell's scene."""
+    _, factor, value = cell
+    return value if factor == "torque" else NOMINAL["torque"]
+
+
 class Runners:
     """One runner for each limit of the fingers' torques, in which alone scenes differ."""
 
@@ -82,11 +88,9 @@ class Runners:
     def rows(self, cell: Cell) -> list[dict[str, Any]]:
         """A controller's rows under one value of a factor."""
         name, factor, value = cell
-        if factor == "nominal":
-            return self._of(1.0).rows(name, {}, _NOISE)
-        limit = value if factor == "torque" else 1.0
+        at = {} if factor == "nominal" else {"value": value}
         noise = _DRAWN[factor](value) if factor in _DRAWN else _NOISE
-        return self._of(limit).rows(name, {"value": value}, noise)
+        return self._of(_limit(cell)).rows(name, at, noise)
 
 
 def main(config: SensitivityConfig) -> None:
@@ -100,23 +104,24 @@ def main(config: SensitivityConfig) -> None:
         for factor in asked
         if factor not in done.get(name, {})
     ]
-    cells = [
-        (f"{name}, {factor} {value}", (name, factor, value))
-        for name, factor in left
-        for value in asked[factor]
-    ]
+    cells = [(name, factor, value) for name, factor in left for value in asked[factor]]
+    # One scene after the other: a controller is compiled for each.
+    cells.sort(key=lambda cell: (cell[1] == "torque", _limit(cell)))
+    jobs = [(f"{name}, {factor} {value}", (name, factor, value)) for name, factor, value in cells]
     journal = journal_of(config, found)
     setup = functools.partial(Runners, config)
-    results = journaled(config, Runners.rows, cells, setup, journal, kind=itemgetter(0))
+    results = journaled(config, Runners.rows, jobs, setup, journal, kind=itemgetter(0))
+    ended: dict[Cell, list[dict[str, Any]]] = {}
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
-        for name, factor in left:
-            rows = []
-            for _ in asked[factor]:
-                rows += next(results)
-                bar.update(job, advance=1)
-            done.setdefault(name, {})[factor] = rows
-            keep(config, found)
+        for cell, rows in zip(cells, results, strict=True):
+            ended[cell] = rows
+            bar.update(job, advance=1)
+            name, factor, _ = cell
+            own = [(name, factor, value) for value in asked[factor]]
+            if all(each in ended for each in own):
+                done.setdefault(name, {})[factor] = [row for each in own for row in ended[each]]
+                keep(config, found)
     journal.close()
 
 

@@ -481,7 +481,8 @@ def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivit
     assert 0.004 < np.abs(shared.offset).max() <= 0.005
     weak = [{"torque": 0.25}, {"torque": 0.5}]
     changed = [{}, {"friction": pytest.approx(0.4)}, {"mass_scale": 0.5}, {"mass_scale": 2.0}]
-    assert seen == 3 * (changed + weak)
+    scenes = [three for limit in weak for three in 3 * [limit]]
+    assert seen == 3 * changed + scenes, "one scene after the other"
     content = json.loads(sensitivity.config.out.read_text())
     assert content["schema"] == "mjx_grasp.sensitivity/1" and content["provenance"]["git"]
     assert set(content["sha256"]) == {"policy", "handoffs"}
@@ -495,13 +496,13 @@ def test_sensitivity_changes_one_thing_at_a_time_under_the_same_draws(sensitivit
 @pytest.mark.long
 def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sensitivity):
     module, noted, config = sensitivity.module, sensitivity.noted, sensitivity.config
-    module.stop_at = 8  # the second controller's factor after the nominal trials
+    module.stop_at = 8  # the second value of the second controller's masses
     with pytest.raises(KeyboardInterrupt):
         module.main(config)
     done = json.loads(config.out.read_text())["controllers"]
     assert [list(of) for of in done.values()] == [
-        ["nominal", "friction", "mass", "torque"],
-        ["nominal"],
+        ["nominal", "friction", "mass"],
+        ["nominal", "friction"],
     ]
     module.main(config)
     assert len(noted) == 8 + (3 * 6 - 7)

@@ -166,6 +166,14 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
     assert env["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
 
 
+def test_xla_tries_kernels_out_for_trainings_alone_or_if_asked(paper, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_gpu_autotune_level=4")
+    added = paper.module._more_environment
+    flags = "--xla_gpu_autotune_level=0 --xla_gpu_autotune_level=4"
+    assert added("experiments/pose_error.py TRIALS:5") == {"XLA_FLAGS": flags}
+    assert added("-m mjx_grasp.train --preset paper") == {}
+
+
 def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
     paper, tmp_path, monkeypatch
 ):
@@ -221,7 +229,7 @@ def test_a_quick_paper_makes_fewer_trials_and_leaves_out_what_takes_long(quick, 
     assert "two is not made quickly: it trains" in capsys.readouterr().err
     assert quick.made() == []
     for command, words in (
-        (FEWER, "--engine mjx --episodes 128 --in 16 --out README.md"),
+        (FEWER, "--engine mjx --episodes 64 --in 16 --out README.md"),
         (FULL, "--engine mjx --episodes 448 --in 64 --out README.md"),
     ):
         assert quick.module.worded(command, tmp_path) == ["b.py", *words.split()]

@@ -20,6 +20,7 @@ from mjx_grasp.evaluation.statistics import wilson_interval
 from mjx_grasp.evaluation.trials import (
     Trials,
     by_object,
+    force_apart,
     incidents,
     paired_draws,
     run_trials,
@@ -88,10 +89,12 @@ def evaluate(
     most = config.worlds or WORLDS[config.engine]
     together = max(1, most // config.episodes) if config.engine == "mjx" else 1
     worlds = min(most, config.episodes * min(together, len(names)))
-    # Trials are drawn below. A task itself uses the robot's errors, and whether objects are turned.
+    # Trials are drawn below, with a force that the grip keeps. A task itself uses the robot's
+    # errors, and whether objects are turned.
     turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0
     felt = StartNoise(angle_rad=turned, robot=config.noise.robot)
-    run = _task(world, config.engine, worlds, task, felt)
+    shared, force = force_apart(task)
+    run = _task(world, config.engine, worlds, shared, felt)
     controller = policy.controller() if policy else zero_controller(run)
     rows, trials = [], {}
     with counting_progress(console) as bar:
@@ -101,7 +104,8 @@ def evaluate(
         for first in range(0, len(names), together):
             beside = names[first : first + together]
             index = [world.scene.object_index(name) for name in beside]
-            draw = paired_draws(world.starts, index, config.episodes, config.noise, config.seed)
+            drawn = index, config.episodes, config.noise, config.seed
+            draw = paired_draws(world.starts, *drawn, force)
             ran = run_trials(run, controller, draw, worlds)
             for name, own_trials in zip(beside, by_object(ran, len(beside)), strict=True):
                 trials[name] = own_trials

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,9 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
+from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import InputError
+from mjx_grasp.tasks.assemble import TaskConfig
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.starts import StartDraw, StartTable, draw_starts
 from mjx_grasp.tasks.task import Observations, Task, TaskState
@@ -61,8 +64,28 @@ def _always(action: Float[Array, " a"], obs: Observations) -> Float[Array, "w a"
     return jnp.broadcast_to(action, (len(obs["state"]), len(action)))
 
 
+def force_apart(task: TaskConfig) -> tuple[TaskConfig, float | None]:
+    """A grip's force apart from its task, if the grip keeps it: one task for all forces.
+
+    Args:
+        task: With a grip.
+
+    Returns:
+        The task that grips of other forces have too, and the force for `paired_draws` [N]; None if
+        the grip answers to its load.
+    """
+    if task.grip.friction is not None:
+        return task, None
+    return replace(task, grip=replace(task.grip, force=GripConfig().force)), task.grip.force
+
+
 def paired_draws(
-    starts: StartTable, objects: Sequence[int], episodes: int, noise: StartNoise, seed: int
+    starts: StartTable,
+    objects: Sequence[int],
+    episodes: int,
+    noise: StartNoise,
+    seed: int,
+    force: float | None = None,
 ) -> StartDraw:
     """Starts of objects, one after the other, the same for every controller with the same seed.
 
@@ -75,12 +98,14 @@ def paired_draws(
         noise: What is drawn.
         seed: Of the draws. Those of an object are the same from the same states in the same place
             among the scene's objects.
+        force: With which every grip begins; None: with that of its settings [N].
 
     Raises:
         InputError: The table has no start of an object.
     """
     draws = [_draws_of(starts, index, episodes, noise, seed) for index in objects]
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    draw: StartDraw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    return draw if force is None else draw._replace(force=jnp.full(len(draw.row), force))
 
 
 def _draws_of(

@@ -390,6 +390,8 @@ class ClosingTask:
         at, starts = self.physics.scene.addresses, self.starts
         k, standing = self._beginning(draw), self._standing
         measured, closer = jax.tree.map(lambda rows: rows[k], (standing.measured, standing.closer))
+        if draw.force is not None:
+            closer = closer._replace(level=draw.force)
         truth = jax.tree.map(lambda rows: rows[draw.row], starts.truth)
         truth = truth._replace(
             object_pos=qpos[:, at.object_qpos[:3]], object_quat=qpos[:, at.object_qpos[3:]]

@@ -58,6 +58,8 @@ class StartDraw(NamedTuple):
     way: Float[Array, " w"] | None = None
     """Drawn evenly from 0 to 1, for where a task that begins before the handoff does, within what
     its curriculum allows; None for home. The closing task begins at the handoff [-]."""
+    force: Float[Array, " w"] | None = None
+    """With which the grip begins, per finger; None: with that of its settings [N]."""
 
 
 def build_starts(scene: Scene, handoffs: HandoffSet, substeps: int) -> StartTable:

@@ -201,7 +201,9 @@ def test_a_policy_that_was_helped_near_its_contacts_can_be_judged(monkeypatch):
 
 
 def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(monkeypatch):
-    """Another budget, friction, place or policy is the same task and function; turning is not.
+    """Another budget, friction, place, policy or force is the same task and function.
+
+    Turning is not.
 
     Nor is it another task where a policy was only paid otherwise in its training.
     """
@@ -239,4 +241,8 @@ def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(mon
     assert tasks[0] is first
     squeeze = replace(own.config, controller="squeeze")
     assert evaluated(*draws, *turned[:1], config=squeeze, policy=None) == (2, 1)
-    assert evaluated({}, {"squeeze_force": 1.0}, config=squeeze, policy=None)[0] == 2
+    assert evaluated({}, {"squeeze_force": 1.0}, config=squeeze, policy=None) == (1, 1)
+    assert evaluated({}, {"squeeze_split": "balanced"}, config=squeeze, policy=None)[0] == 2
+    gripped = [{"grip": replace(own.config.grip, force=force)} for force in (1.0, 2.0)]
+    grip = replace(own.config, controller="grip")
+    assert evaluated(*gripped, config=grip, policy=None)[0] == 2

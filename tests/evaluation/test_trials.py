@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -7,10 +8,12 @@ import pytest
 from jax.tree_util import Partial
 
 import mjx_grasp.evaluation.trials as module
+from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
     Trials,
     by_object,
+    force_apart,
     incidents,
     paired_draws,
     record_trials,
@@ -92,6 +95,25 @@ def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, s
         for name, a, b in zip(one._fields, one, other, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
     assert (np.abs(told[0].reward - told[1].reward) > 1e-3).all()
+
+
+def test_a_force_of_the_start_is_a_force_of_the_settings(starts, native):
+    """Of a grip that keeps it, and of any other one from the lift on, which is not reached here."""
+    forces = 2.0, 6.0
+    runs = []
+    for force in forces:
+        config = replace(SHORT, episode_s=1.5, grip=GripConfig(force=force))
+        apart, drawn = force_apart(config)
+        assert drawn == force and apart == replace(config, grip=GripConfig())
+        own, shared = (ClosingTask(native, starts, c, NOISE, False) for c in (config, apart))
+        draws = [paired_draws(starts, [0], 2, NOISE, 1, x) for x in (None, force)]
+        each = zip((own, shared), draws, strict=True)
+        one, other = (run_trials(t, zero_controller(t), draw, 2) for t, draw in each)
+        for name, a, b in zip(one._fields, one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
+        runs.append(one.force_peak)
+    assert np.isfinite(runs).all() and (runs[1] > runs[0] + 1.0).all()
+    assert force_apart(replace(SHORT, grip=REACTING)) == (replace(SHORT, grip=REACTING), None)
 
 
 def test_recorded_trials_are_the_same_trials(task, starts):

@@ -99,12 +99,16 @@ def _squared_distance(p: Components, faces: _Faces) -> Scalars:
 
 def _weights(
     ap: Components, ab: Components, ac: Components, to_v: Components, to_w: Components
-) -> tuple[Scalars, Scalars]:
-    """Barycentric weights (v, w) of the nearest point.
+) -> Float[Array, "*batch 3"]:
+    """Barycentric weights of the nearest point.
 
     Inside where the projection is, else the nearest of the three edges: that holds for degenerate
-    triangles too, on which a choice by Voronoi regions fails.
+    triangles too, on which a choice by Voronoi regions fails. All three weights are chosen as one:
+    XLA may compute a choice twice with other rounding, and so mix the weights of a tie.
     """
+
+    def weights(v: Scalars, w: Scalars) -> Float[Array, "*batch 3"]:
+        return jnp.stack([1.0 - v - w, v, w], axis=-1)
 
     def squared_distance(v: Scalars, w: Scalars) -> Scalars:
         # Of the remainder vector, not a difference of squares: exact on the surface.
@@ -117,15 +121,13 @@ def _weights(
     ab2, ac2, abac = dot(ab, ab), dot(ac, ac), dot(ab, ac)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     along_bc = _ratio((d2 - abac) - (d1 - ab2), ab2 + ac2 - 2.0 * abac)
-    v, w = _ratio(d1, ab2), jnp.zeros_like(d1)
-    least = squared_distance(v, w)
-    for other_v, other_w in ((0.0 * d2, _ratio(d2, ac2)), (1.0 - along_bc, along_bc)):
-        distance = squared_distance(other_v, other_w)
-        nearer = distance < least
-        v, w = jnp.where(nearer, other_v, v), jnp.where(nearer, other_w, w)
-        least = jnp.where(nearer, distance, least)
-    v, w = jnp.where(inside, inside_v, v), jnp.where(inside, inside_w, w)
-    return v, w
+    on_ab = _ratio(d1, ab2), jnp.zeros_like(d1)
+    chosen, least = weights(*on_ab), squared_distance(*on_ab)
+    for other in ((0.0 * d2, _ratio(d2, ac2)), (1.0 - along_bc, along_bc)):
+        distance = squared_distance(*other)
+        chosen = jnp.where((distance < least)[..., None], weights(*other), chosen)
+        least = jnp.minimum(distance, least)
+    return jnp.where(inside[..., None], weights(inside_v, inside_w), chosen)
 
 
 def closest_on_triangle(
@@ -135,9 +137,8 @@ def closest_on_triangle(
     a = triangle[..., 0, :]
     ab, ac = triangle[..., 1, :] - a, triangle[..., 2, :] - a
     sides = components(ab), components(ac)
-    v, w = _weights(components(point - a), *sides, *_duals(*sides))
-    nearest = a + v[..., None] * ab + w[..., None] * ac
-    return nearest, jnp.stack([1.0 - v - w, v, w], axis=-1)
+    weights = _weights(components(point - a), *sides, *_duals(*sides))
+    return a + weights[..., 1:2] * ab + weights[..., 2:] * ac, weights
 
 
 def closest_on_mesh(

@@ -33,6 +33,18 @@ def test_nearest_point_is_on_the_triangle_and_none_is_nearer(point, triangle):
     assert distance <= sampled_distance(point, triangle) + 2e-4
 
 
+@pytest.mark.parametrize("same", [(0, 1), (1, 2), (0, 2)])
+def test_weights_where_two_corners_are_one(same):
+    """Two edges are equally near there, of weights that must not be mixed."""
+    triangle, point = np.full((3, 3), 0.75, np.float32), np.float32([0, 0, -0.99731886])
+    (other,) = {0, 1, 2} - set(same)
+    triangle[other, 0] = 1.0
+    nearest, weights = on_triangle(jnp.asarray(point), jnp.asarray(triangle))
+    np.testing.assert_allclose(nearest, triangle[same[0]])
+    np.testing.assert_allclose(np.asarray(weights) @ triangle, nearest)
+    assert float(np.sum(weights)) == 1.0
+
+
 @pytest.mark.parametrize(
     ("point", "expected"),
     [

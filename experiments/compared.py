@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -69,6 +71,10 @@ class ComparedConfig(Spread):
     seed: Seed = 0
     known: Path | None = None
     """results of another policy, whose squeezes and grip are taken as they are"""
+
+
+Condition = tuple[Mapping[str, Any], StartNoise]
+"""What its rows say of it, and what is drawn under it."""
 
 
 class Contestant(NamedTuple):
@@ -211,6 +217,7 @@ class Runner:
         engine: What steps the physics.
         physics: Of the scene.
         angle_rad: How far any of the trials turns the object: tasks that turn none differ.
+        beside: Conditions that have room in a batch, which is of one size.
     """
 
     def __init__(
@@ -221,21 +228,24 @@ class Runner:
         engine: Engine = "mujoco",
         physics: SceneConfig | None = None,
         angle_rad: float = 0.0,
+        beside: int = 1,
     ):
         scene = build_scene(found.objects, found.robot, physics or SceneConfig())
         self._world = build_world(scene, found.states, TaskConfig().control_dt)
         self._found, self._episodes, self._seed, self._engine = found, episodes, seed, engine
         self._widest = StartNoise(angle_rad=angle_rad)
-        self._worlds = episodes * len(found.names)
+        self._worlds = episodes * len(found.names) * beside
         self._tasks: dict[TaskConfig, Task] = {}
 
-    def rows(self, name: str, at: Mapping[str, Any], noise: StartNoise) -> list[dict[str, Any]]:
-        """Trials of a controller under a condition, a row per object.
+    def rows(self, name: str, conditions: Sequence[Condition]) -> list[list[dict[str, Any]]]:
+        """Trials of a controller under some conditions beside each other.
 
         Args:
             name: The controller.
-            at: What the rows say of the condition.
-            noise: What its starts draw; from the seed all have the same draws.
+            conditions: Which; from the seed all have the same draws.
+
+        Returns:
+            Of each condition a row per object.
         """
         who, names, starts = self._found.contestants[name], self._found.names, self._world.starts
         config, force = force_apart(who.task)
@@ -243,11 +253,15 @@ class Runner:
             made = self._world.task(self._engine, self._worlds, config, self._widest, False)
             self._tasks[config] = made
         task = self._tasks[config]
-        noise = replace(noise, budget_n=(who.force, who.force))
         index = [self._world.scene.object_index(of) for of in names]
-        draw = paired_draws(starts, index, self._episodes, noise, self._seed, force)
+        draws = []
+        for _, noise in conditions:
+            noise = replace(noise, budget_n=(who.force, who.force))
+            draws.append(paired_draws(starts, index, self._episodes, noise, self._seed, force))
+        draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
         trials = run_trials(task, who.act or zero_controller(task), draw, self._worlds)
-        return rows_of(trials, at, names)
+        each = by_object(trials, len(conditions))
+        return [rows_of(own, at, names) for (at, _), own in zip(conditions, each, strict=True)]
 
 
 def rows_of(trials: Trials, at: Mapping[str, Any], names: Sequence[str]) -> list[dict[str, Any]]:

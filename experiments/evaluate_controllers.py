@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -33,9 +33,9 @@ from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, read_results, row_from_record, write_results
-from mjx_grasp.evaluation.run import evaluate
+from mjx_grasp.evaluation.run import evaluate_beside
 from mjx_grasp.evaluation.tables import success_table
-from mjx_grasp.evaluation.trials import incidents
+from mjx_grasp.evaluation.trials import evenly, incidents, room_for
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, with_states
 from mjx_grasp.learning.controller import load_controller, policy_task
@@ -78,7 +78,8 @@ Condition = Literal[
 ]  # fmt: skip
 _TOGETHER = 4
 """Objects of a job in native MuJoCo: so few that there are enough jobs for many cores, so many that
-compiling a controller is the smaller part of one. In MJX a job is of all of them."""
+compiling a controller is the smaller part of one. In MJX a job is of all of them, and of as many
+conditions as have room."""
 NOISY_TORQUE = RobotErrors(torque_std=0.02, torque_step=0.01, friction=0.3)
 
 
@@ -277,9 +278,10 @@ def _load(config: ComparisonConfig) -> _Evaluator:
 
 
 class _Job(NamedTuple):
-    """One controller under one condition, on some of the objects."""
+    """A controller under some conditions, on some of the objects."""
 
-    chosen: EvaluateConfig
+    chosen: list[EvaluateConfig]
+    """one, or in MJX as many as have room beside each other and share compiled functions"""
     names: list[str]
 
 
@@ -289,12 +291,15 @@ def _compiled(one: EvaluateConfig) -> Hashable:
     return one.controller, *grip, one.angle_deg > 0, one.robot_errors, one.keeping_gain
 
 
-def _evaluated(own: _Evaluator, job: _Job) -> dict[str, Any]:
-    """Its rows, and incidents, for the journal."""
-    controller = own.policy if job.chosen.controller == "policy" else None
+def _evaluated(own: _Evaluator, job: _Job) -> list[dict[str, Any]]:
+    """Rows of each condition, and incidents, for the journal."""
+    policy = own.policy if job.chosen[0].controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
-    rows, trials = evaluate(own.world, job.names, job.chosen, controller, own.reached, quiet)
-    return {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
+    found = evaluate_beside(own.world, job.names, job.chosen, policy, own.reached, quiet)
+    return [
+        {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
+        for rows, trials in found
+    ]
 
 
 def main(config: ComparisonConfig) -> None:
@@ -326,11 +331,18 @@ def main(config: ComparisonConfig) -> None:
     # One after the other those that share compiled functions: these are kept of one task alone.
     first = {_compiled(asked[k]): k for k in reversed(left)}
     left.sort(key=lambda k: first[_compiled(asked[k])])
-    jobs = [(f"controller {k}, from {of[0]}", _Job(asked[k], of)) for k in left for of in parts]
+    alike = (list(of) for _, of in groupby(left, key=lambda k: _compiled(asked[k])))
+    room = room_for(config.engine, config.episodes * len(own.names), config.worlds)
+    groups = [some for of in alike for some in evenly(of, room)]
+    jobs = [
+        (f"controllers {some}, from {of[0]}", _Job([asked[k] for k in some], of))
+        for some in groups
+        for of in parts
+    ]
     setup = (lambda: own) if config.alone else partial(_load, config)
     journal = Journal(config.out, made_of, made["git"])
     results = journaled(
-        config, _evaluated, jobs, setup, journal, kind=lambda job: _compiled(job.chosen)
+        config, _evaluated, jobs, setup, journal, kind=lambda job: _compiled(job.chosen[0])
     )
 
     def write() -> None:
@@ -347,16 +359,16 @@ def main(config: ComparisonConfig) -> None:
     with counting_progress(console) as bar:
         job = bar.add_task("controllers", total=len(asked), completed=len(asked) - len(left))
         write()
-        for k in left:
-            done = list(islice(results, len(parts)))
-            records = (record for part in done for record in part["rows"])
-            own_rows = [
-                row_from_record(journal.path, number, record, ResultRow)
-                for number, record in enumerate(records)
-            ]
-            each = [part["incidents"] for part in done]
-            ended[k] = own_rows, {what: sum(of[what] for of in each) for what in each[0]}
-            bar.update(job, advance=1)
+        for some in groups:
+            for k, *done in zip(some, *islice(results, len(parts)), strict=True):
+                records = (record for part in done for record in part["rows"])
+                own_rows = [
+                    row_from_record(journal.path, number, record, ResultRow)
+                    for number, record in enumerate(records)
+                ]
+                each = [part["incidents"] for part in done]
+                ended[k] = own_rows, {what: sum(of[what] for of in each) for what in each[0]}
+                bar.update(job, advance=1)
             write()
     journal.close()
     count = len(asked) // len(config.conditions) * len(own.names)

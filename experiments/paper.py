@@ -6,9 +6,9 @@
   python experiments/paper.py --objects-dir SCANS --quick
 
 What is done for this revision of the code is not done again, so that a run that was stopped goes
-on; several of the commands go on within themselves too. With a GPU up to three commands run beside
-each other, in the lanes of `lane_of`, and what they say goes to files. `--quick` is for a look at
-most of it. The last step puts the numbers into the READMEs.
+on; several of the commands go on within themselves too. With a GPU some commands run beside each
+other, one in each of the lanes of `lane_of`, and what they say goes to files. `--quick` is for a
+look at most of it. The last step puts the numbers into the READMEs.
 `docs/reproduction.md` says where each table and figure is shown.
 """
 
@@ -25,6 +25,7 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -235,7 +236,7 @@ def main(config: PaperConfig) -> None:
         forms = {command, whole[command]} if config.quick else {command}
         return not any(done(kept.commands, form, scans) for form in forms)
 
-    steps = steps_of(possible, is_left, lane_of)
+    steps = steps_of(possible, is_left, partial(lane_of, quick=config.quick))
     beside = len({step.lane for step in steps}) > 1
     began, writing, left = time.monotonic(), threading.Lock(), list(steps)
     before = kept.commands
@@ -282,13 +283,16 @@ def _guess(left: Sequence[Step], state: dict[str, Any]) -> str:
     return f", about {max(of_lane.values(), default=0.0) / 60:.0f} min left"
 
 
-def lane_of(command: str) -> str:
+def lane_of(command: str, quick: bool) -> str:
     """What a command keeps busy; without a GPU all share the cores.
 
-    What is timed on the GPU, trainings and all, has no neighbour there; and what is not takes as
-    long beside another as the two take one after the other.
+    What is timed on the GPU, trainings and all, has no neighbour there. With `--quick`, which times
+    nothing, evaluations have one: commands of several processes, which compile for minutes.
     """
-    on_gpu = TRIALS, FEWER, _GRASPS, _SHARERS, " ".join(_IN_MJX), "mjx_grasp.train"
+    several = _GRASPS, _SHARERS
+    on_gpu = TRIALS, FEWER, " ".join(_IN_MJX), "mjx_grasp.train"
+    if has_gpu() and any(word in command for word in several):
+        return "processes on the GPU" if quick else "the GPU"
     if has_gpu() and any(word in command for word in on_gpu):
         return "the GPU"
     return _CORES if _CORES in command or not has_gpu() else "one process"

@@ -114,8 +114,8 @@ class Tried:
         contestants = contestants_of(policy, config.budgets, [config.squeeze])
         found = Comparison({}, contestants, [obj.name], [obj], robot, states)
         runner = Runner(found, config.episodes, config.seed)
-        rows = [runner.rows(name, {"controller": name}, StartNoise()) for name in contestants]
-        return {"states": len(states), "rows": [row for of in rows for row in of]}
+        runs = [runner.rows(name, [({"controller": name}, StartNoise())]) for name in contestants]
+        return {"states": len(states), "rows": [row for (of,) in runs for row in of]}
 
 
 def states_with(

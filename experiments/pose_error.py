@@ -11,6 +11,7 @@ settings and revision of the code, is left alone, so that an interrupted run goe
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
@@ -18,18 +19,27 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from compared import ComparedConfig, Runner, compared, journal_of, keep
+from compared import (
+    ComparedConfig,
+    Comparison,
+    Condition,
+    Runner,
+    compared,
+    journal_of,
+    keep,
+)
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.trials import evenly, room_for
 from mjx_grasp.records.journal import journaled
 from mjx_grasp.records.settings import NonNegative
 from mjx_grasp.tasks.config import StartNoise
 
 SCHEMA = "mjx_grasp.pose_error/1"
 _WHAT = "a table of pose errors"
-Cell = tuple[str, dict[str, float], StartNoise]
-"""A controller, what its rows say of a condition, and what is drawn under it."""
+Cells = tuple[str, Sequence[Condition]]
+"""A controller, and errors that are tried beside each other."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +51,8 @@ class PoseErrorConfig(ComparedConfig):
     angles_deg: tuple[NonNegative, ...] = (0.0, 5.0, 10.0)
 
 
-def conditions(config: PoseErrorConfig) -> list[tuple[dict[str, float], StartNoise]]:
-    """What each cell of the grid is called, and what is drawn in it."""
+def conditions(config: PoseErrorConfig) -> list[Condition]:
+    """The cells of the grid."""
     return [
         (
             {"offset_mm": offset, "angle_deg": angle},
@@ -53,33 +63,44 @@ def conditions(config: PoseErrorConfig) -> list[tuple[dict[str, float], StartNoi
     ]
 
 
+def batches(config: PoseErrorConfig, found: Comparison) -> list[Sequence[Condition]]:
+    """The cells that are tried beside each other."""
+    room = room_for(config.engine, config.episodes * len(found.names))
+    return evenly(conditions(config), room)
+
+
 def _runner(config: PoseErrorConfig) -> Runner:
     """What each of several processes needs."""
     found, widest = compared(config, SCHEMA, _WHAT), max(n.angle_rad for _, n in conditions(config))
-    return Runner(found, config.episodes, config.seed, config.engine, angle_rad=widest)
+    most = max(map(len, batches(config, found)))
+    drawn = config.episodes, config.seed, config.engine
+    return Runner(found, *drawn, angle_rad=widest, beside=most)
 
 
-def _rows(runner: Runner, cell: Cell) -> list[dict[str, Any]]:
-    return runner.rows(*cell)
+def _rows(runner: Runner, cells: Cells) -> list[list[dict[str, Any]]]:
+    return runner.rows(*cells)
 
 
 def main(config: PoseErrorConfig) -> None:
     """Runs what is not there yet."""
-    grid = conditions(config)
     found = compared(config, SCHEMA, _WHAT)
+    beside = batches(config, found)
     done = found.record["controllers"]
     left = [name for name in found.contestants if name not in done]
-    cells = [(f"{name}, {at}", (name, at, noise)) for name in left for at, noise in grid]
+    cells = [
+        (f"{name}, {[at for at, _ in some]}", (name, some)) for name in left for some in beside
+    ]
     journal = journal_of(config, found)
     setup = partial(_runner, config)
     results = journaled(config, _rows, cells, setup, journal, kind=itemgetter(0))
     with counting_progress(Console(stderr=True)) as bar:
-        job = bar.add_task("conditions", total=len(cells))
+        job = bar.add_task("conditions", total=len(left) * sum(map(len, beside)))
         for name in left:
             rows = []
-            for _ in grid:
-                rows += next(results)
-                bar.update(job, advance=1)
+            for some in beside:
+                for own in next(results):
+                    rows += own
+                bar.update(job, advance=len(some))
             done[name] = rows
             keep(config, found)
     journal.close()

@@ -11,17 +11,18 @@ revision of the code, is left alone, so that an interrupted run goes on.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from compared import ComparedConfig, Runner, compared, journal_of, keep
+from compared import ComparedConfig, Condition, Runner, compared, journal_of, keep
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
+from mjx_grasp.evaluation.trials import evenly, room_for
 from mjx_grasp.records.journal import journaled
 from mjx_grasp.records.settings import Positive, Several
 from mjx_grasp.sim.scene import SceneConfig
@@ -74,23 +75,40 @@ def _limit(cell: Cell) -> float:
     return value if factor == "torque" else NOMINAL["torque"]
 
 
+def _condition(cell: Cell) -> Condition:
+    _, factor, value = cell
+    at = {} if factor == "nominal" else {"value": value}
+    return at, _DRAWN[factor](value) if factor in _DRAWN else _NOISE
+
+
+def batches(cells: Sequence[Cell], room: int) -> list[Sequence[Cell]]:
+    """Cells of one controller and scene, as many as have room beside each other.
+
+    One scene comes after the other, for a controller is compiled for each.
+    """
+
+    def scene(cell: Cell) -> tuple[bool, float]:
+        return cell[1] == "torque", _limit(cell)
+
+    alike = groupby(sorted(cells, key=scene), key=lambda cell: (scene(cell), cell[0]))
+    return [some for _, own in alike for some in evenly(list(own), room)]
+
+
 class Runners:
     """One runner for each limit of the fingers' torques, in which alone scenes differ."""
 
-    def __init__(self, config: SensitivityConfig):
+    def __init__(self, config: SensitivityConfig, most: dict[float, int]):
         found = compared(config, SCHEMA, _WHAT)
-        self._of = functools.cache(
-            lambda limit: Runner(
-                found, config.episodes, config.seed, config.engine, SceneConfig(finger_torque=limit)
-            )
-        )
 
-    def rows(self, cell: Cell) -> list[dict[str, Any]]:
-        """A controller's rows under one value of a factor."""
-        name, factor, value = cell
-        at = {} if factor == "nominal" else {"value": value}
-        noise = _DRAWN[factor](value) if factor in _DRAWN else _NOISE
-        return self._of(_limit(cell)).rows(name, at, noise)
+        def runner(limit: float) -> Runner:
+            physics, drawn = SceneConfig(finger_torque=limit), (config.episodes, config.seed)
+            return Runner(found, *drawn, config.engine, physics, beside=most[limit])
+
+        self._of = functools.cache(runner)
+
+    def rows(self, cells: Sequence[Cell]) -> list[list[dict[str, Any]]]:
+        """A controller's rows in each of some cells of one scene."""
+        return self._of(_limit(cells[0])).rows(cells[0][0], [_condition(each) for each in cells])
 
 
 def main(config: SensitivityConfig) -> None:
@@ -98,30 +116,33 @@ def main(config: SensitivityConfig) -> None:
     found = compared(config, SCHEMA, _WHAT)
     found.record["nominal"] = NOMINAL
     done, asked = found.record["controllers"], {"nominal": [1.0]} | changes(config)
-    left = [
-        (name, factor)
+    cells = [
+        (name, factor, value)
         for name in found.contestants
         for factor in asked
         if factor not in done.get(name, {})
+        for value in asked[factor]
     ]
-    cells = [(name, factor, value) for name, factor in left for value in asked[factor]]
-    # One scene after the other: a controller is compiled for each.
-    cells.sort(key=lambda cell: (cell[1] == "torque", _limit(cell)))
-    jobs = [(f"{name}, {factor} {value}", (name, factor, value)) for name, factor, value in cells]
+    beside = batches(cells, room_for(config.engine, config.episodes * len(found.names)))
+    most: dict[float, int] = {}
+    for some in beside:
+        limit = _limit(some[0])
+        most[limit] = max(most.get(limit, 0), len(some))
+    jobs = [(f"{some}", some) for some in beside]
     journal = journal_of(config, found)
-    setup = functools.partial(Runners, config)
-    results = journaled(config, Runners.rows, jobs, setup, journal, kind=itemgetter(0))
+    setup = functools.partial(Runners, config, most)
+    results = journaled(config, Runners.rows, jobs, setup, journal, kind=lambda some: some[0][0])
     ended: dict[Cell, list[dict[str, Any]]] = {}
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(cells))
-        for cell, rows in zip(cells, results, strict=True):
-            ended[cell] = rows
-            bar.update(job, advance=1)
-            name, factor, _ = cell
-            own = [(name, factor, value) for value in asked[factor]]
-            if all(each in ended for each in own):
-                done.setdefault(name, {})[factor] = [row for each in own for row in ended[each]]
-                keep(config, found)
+        for some, rows in zip(beside, results, strict=True):
+            ended |= zip(some, rows, strict=True)
+            bar.update(job, advance=len(some))
+            for name, factor, _ in some:
+                own = [(name, factor, value) for value in asked[factor]]
+                if all(each in ended for each in own):
+                    done.setdefault(name, {})[factor] = [row for each in own for row in ended[each]]
+            keep(config, found)
     journal.close()
 
 

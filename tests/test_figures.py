@@ -410,14 +410,16 @@ def test_pose_error_goes_on_where_it_stopped_but_only_with_its_own_settings(
     pose_error, ran = script("pose_error"), []
 
     class Counting:
-        def __init__(self, found, episodes, seed, engine, angle_rad):
+        def __init__(self, found, episodes, seed, engine, angle_rad, beside):
             self.found = found
+            assert beside == 1
 
-        def rows(self, name, at, noise):
+        def rows(self, name, conditions):
+            (_,) = conditions
             ran.append(self.found.contestants[name].force)
             if len(ran) == 3:
                 raise KeyboardInterrupt
-            return [{"outcomes": "S"}]
+            return [[{"outcomes": "S"}]]
 
     monkeypatch.setattr(pose_error, "Runner", Counting)
     config = pose_error.PoseErrorConfig(
@@ -510,6 +512,38 @@ def test_sensitivity_goes_on_where_it_stopped_but_only_with_its_own_settings(sen
     assert len(noted) == 19, "nothing is left"
     module.main(replace(config, seed=3))
     assert len(noted) == 19 + 18
+
+
+def test_conditions_that_share_a_batch_in_mjx_have_the_rows_of_those_alone(sensitivity):
+    """With room for all of a scene there is one batch for each controller and scene."""
+    module, noted, config = sensitivity.module, sensitivity.noted, sensitivity.config
+    module.main(replace(config, engine="mjx", episodes=1200))  # no room for two conditions
+    assert [len(draw.row) for _, draw in noted] == 18 * [2 * 1200]
+    noted.clear()
+    module.main(replace(config, engine="mjx"))
+    assert [len(draw.row) for _, draw in noted] == 3 * [4 * 6] + 6 * [6]
+    rows = json.loads(config.out.read_text())["controllers"]
+    assert list(rows) == ["policy, budget 3 N", "squeeze 3 N", "grip"]
+    frictions = [draw.friction for _, draw in noted[:3]]
+    assert all(np.allclose(of, np.repeat([0.8, 0.4, 0.8, 0.8], 6)) for of in frictions)
+    assert [(r["object"], r["value"]) for r in rows["grip"]["mass"]] == [
+        (name, value) for value in (0.5, 2.0) for name in ("rubiks_cube", "sugar_box")
+    ]
+
+
+def test_errors_of_the_pose_share_batches_as_even_as_can_be(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module = script("pose_error")
+    found = SimpleNamespace(names=["one", "two"])
+    for engine, episodes, sizes in (
+        ("mjx", 200, [8, 7]),
+        ("mjx", 2, [15]),
+        ("mujoco", 2, 15 * [1]),
+    ):
+        config = module.PoseErrorConfig(engine=engine, episodes=episodes)
+        batches = module.batches(config, found)
+        assert [len(some) for some in batches] == sizes
+        assert [each for some in batches for each in some] == module.conditions(config)
 
 
 @pytest.mark.parametrize("bad", [(), (0.0,), (0.8, 0.4), (0.8, 0.8), (float("inf"),)])

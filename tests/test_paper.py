@@ -4,6 +4,7 @@ import json
 import shlex
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -407,14 +408,19 @@ def test_lanes_take_what_is_ready_first_and_begin_nothing_after_an_error(monkeyp
 
 def test_every_command_of_the_paper_has_a_lane_and_needs_none_after_it(plain, monkeypatch):
     monkeypatch.setattr(plain, "has_gpu", lambda: True)
-    steps = plain.steps_of(plain.PARTS, lambda command: True, plain.lane_of)
-    assert {step.lane for step in steps} == {"the GPU", "CORES", "one process"}
+    lanes = {"the GPU", "CORES", "one process"}
+    for quick, more in ((True, {"processes on the GPU"}), (False, set())):
+        lane = partial(plain.lane_of, quick=quick)
+        steps = plain.steps_of(plain.PARTS, lambda command: True, lane)
+        assert {step.lane for step in steps} == lanes | more
     seen = set()
     for step in steps:
         assert step.after <= seen, step
         seen.add(step.command)
     monkeypatch.setattr(plain, "has_gpu", lambda: False)
-    assert {plain.lane_of(step.command) for step in steps} == {"CORES"}
+    assert {plain.lane_of(step.command, quick) for step in steps for quick in (True, False)} == {
+        "CORES"
+    }
 
 
 def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(

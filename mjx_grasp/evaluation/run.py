@@ -6,7 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Shaped
 from rich.console import Console
@@ -60,6 +63,15 @@ def chosen_states(
     return names, without, states
 
 
+class Evaluated(NamedTuple):
+    """What came of an evaluation."""
+
+    rows: list[ResultRow]
+    """one per object"""
+    trials: dict[str, Trials]
+    """of each of them"""
+
+
 def evaluate(
     world: World,
     names: Sequence[str],
@@ -68,7 +80,7 @@ def evaluate(
     reached: Bool[np.ndarray, " n"],
     console: Console,
     task: TaskConfig | None = None,
-) -> tuple[list[ResultRow], dict[str, Trials]]:
+) -> Evaluated:
     """Runs the trials of each object, sums them up and warns of what the engine could not do.
 
     Args:
@@ -81,38 +93,75 @@ def evaluate(
         task: Whose lift and times squeeze and grip have; by default the closing task's. A policy is
             always in the task it was trained in, but for how it is held to its budget.
     """
-    own = deployed_task(policy, config.keeping_gain) if policy else None
-    task = own or model_based(task or TaskConfig(), config)
-    # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
-    task = replace(task, reward=_UNPAID)
-    # Native MuJoCo steps the worlds of one object in threads; a GPU takes all that have room.
-    most = config.worlds or WORLDS[config.engine]
-    together = max(1, most // config.episodes) if config.engine == "mjx" else 1
-    worlds = min(most, config.episodes * min(together, len(names)))
+    return evaluate_beside(world, names, [config], policy, reached, console, task)[0]
+
+
+def evaluate_beside(
+    world: World,
+    names: Sequence[str],
+    configs: Sequence[EvaluateConfig],
+    policy: Policy | None,
+    reached: Bool[np.ndarray, " n"],
+    console: Console,
+    task: TaskConfig | None = None,
+) -> list[Evaluated]:
+    """Evaluations beside each other, which in MJX share batches: few worlds take as long as many.
+
+    Args:
+        world: As of `evaluate`, like all that follow.
+        names: Objects.
+        configs: Of one controller, engine and number of trials; only what each trial draws may
+            differ, and forces that a grip keeps.
+        policy: The policy.
+        reached: Which start states are ends of reaches.
+        console: Where the progress bar and warnings go.
+        task: Whose lift and times squeeze and grip have.
+
+    Raises:
+        ValueError: They differ in more than that.
+    """
+    first = configs[0]
+    tasks = [_task_of(config, policy, task) for config in configs]
+    shared, forces = zip(*map(force_apart, tasks), strict=True)
+    each = zip(configs, shared, strict=True)
+    if len({(c.engine, c.episodes, c.worlds, c.robot_errors, own) for c, own in each}) > 1:
+        raise ValueError("evaluations that share no task cannot be beside each other")
     # Trials are drawn below, with a force that the grip keeps. A task itself uses the robot's
     # errors, and whether objects are turned.
-    turned = MAX_ANGLE_RAD if config.noise.angle_rad else 0.0
-    felt = StartNoise(angle_rad=turned, robot=config.noise.robot)
-    shared, force = force_apart(task)
-    run = _task(world, config.engine, worlds, shared, felt)
+    turned = any(config.noise.angle_rad for config in configs)
+    felt = StartNoise(angle_rad=MAX_ANGLE_RAD if turned else 0.0, robot=first.noise.robot)
+    # Native MuJoCo steps the worlds of one object in threads; a GPU takes all that have room.
+    most, episodes = first.worlds or WORLDS[first.engine], first.episodes
+    together = max(1, most // episodes) if first.engine == "mjx" else 1
+    asked = [(k, name) for k in range(len(configs)) for name in names]
+    worlds = min(most, episodes * min(together, len(asked)))
+    run = _task(world, first.engine, worlds, shared[0], felt)
     controller = policy.controller() if policy else zero_controller(run)
-    rows, trials = [], {}
+    found = [Evaluated([], {}) for _ in configs]
     with counting_progress(console) as bar:
-        threads = f", {usable_cores()} threads" if config.engine == "mujoco" else ""
-        what = f"{config.controller} in {config.engine}{threads}"
-        job = bar.add_task(what, total=len(names))
-        for first in range(0, len(names), together):
-            beside = names[first : first + together]
-            index = [world.scene.object_index(name) for name in beside]
-            drawn = index, config.episodes, config.noise, config.seed
-            draw = paired_draws(world.starts, *drawn, force)
+        threads = f", {usable_cores()} threads" if first.engine == "mujoco" else ""
+        what = f"{first.controller} in {first.engine}{threads}"
+        job = bar.add_task(what, total=len(asked))
+        for begin in range(0, len(asked), together):
+            beside = asked[begin : begin + together]
+            draws = []
+            for k, name in beside:
+                drawn = episodes, configs[k].noise, configs[k].seed, forces[k]
+                draws.append(paired_draws(world.starts, [world.scene.object_index(name)], *drawn))
+            draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
             ran = run_trials(run, controller, draw, worlds)
-            for name, own_trials in zip(beside, by_object(ran, len(beside)), strict=True):
-                trials[name] = own_trials
-                rows.append(summarise(name, own_trials, config, reached, task))
-                _warn(name, own_trials, console)
+            for (k, name), own in zip(beside, by_object(ran, len(beside)), strict=True):
+                found[k].trials[name] = own
+                found[k].rows.append(summarise(name, own, configs[k], reached, tasks[k]))
+                _warn(name, own, console)
             bar.update(job, advance=len(beside))
-    return rows, trials
+    return found
+
+
+def _task_of(config: EvaluateConfig, policy: Policy | None, task: TaskConfig | None) -> TaskConfig:
+    own = deployed_task(policy, config.keeping_gain) if policy else None
+    # Nobody is paid here: policies that were trained by other rewards alone are compiled once.
+    return replace(own or model_based(task or TaskConfig(), config), reward=_UNPAID)
 
 
 @lru_cache(maxsize=1)

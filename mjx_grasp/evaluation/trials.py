@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from itertools import accumulate
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.closing.config import GripConfig
 from mjx_grasp.errors import InputError
+from mjx_grasp.sim.engines import WORLDS, Engine
 from mjx_grasp.tasks.assemble import TaskConfig
 from mjx_grasp.tasks.config import StartNoise
 from mjx_grasp.tasks.starts import StartDraw, StartTable, draw_starts
 from mjx_grasp.tasks.task import Observations, Task, TaskState
 
+Item = TypeVar("Item")
 Controller = Callable[[Observations], Float[Array, "w a"]]
 """Observations in, actions out."""
 
@@ -119,6 +122,24 @@ def _draws_of(
     picked = rows[order[np.arange(episodes) % len(rows)]]
     draw = draw_starts(key, episodes, noise, jnp.ones(len(starts.object_index)))
     return draw._replace(row=jnp.asarray(picked))
+
+
+def room_for(engine: Engine, trials: int, worlds: int | None = None) -> int:
+    """How many conditions have room in one batch: one in native MuJoCo, which gains nothing by it.
+
+    Args:
+        engine: What steps the physics.
+        trials: Of a condition.
+        worlds: Of a batch; None: the engine's own number.
+    """
+    return max(1, (worlds or WORLDS[engine]) // trials) if engine == "mjx" else 1
+
+
+def evenly(items: Sequence[Item], most: int) -> list[Sequence[Item]]:
+    """Items in parts of at most so many: of two sizes at most, for each size is compiled anew."""
+    count = -(-len(items) // most)
+    of = [len(items) // count + (k < len(items) % count) for k in range(count)]
+    return [items[end - n : end] for n, end in zip(of, accumulate(of), strict=True)]
 
 
 def by_object(trials: Trials, count: int) -> list[Trials]:

@@ -4,6 +4,7 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -246,3 +247,47 @@ def test_evaluations_that_differ_in_their_draws_alone_share_what_is_compiled(mon
     gripped = [{"grip": replace(own.config.grip, force=force)} for force in (1.0, 2.0)]
     grip = replace(own.config, controller="grip")
     assert evaluated(*gripped, config=grip, policy=None)[0] == 2
+
+
+def test_evaluations_beside_each_other_are_those_alone(monkeypatch):
+    """In MJX their trials share batches, of which each is as large as the others; rows are own."""
+    names = "foam_brick", "rubiks_cube"
+    own = module._loaded(EvaluateConfig(Path("x.json"), "squeeze", objects=names))
+    batches = []
+
+    def tried(task, controller, draw, worlds):
+        batches.append((len(draw.row), worlds))
+        none = np.zeros(len(draw.row))
+        shown = dict.fromkeys(run.Trials._fields, none > 0) | {"row": np.asarray(draw.row)}
+        numbers = {"overflow_ticks": none.astype(int), "reward": none, "force_held": none}
+        lifted = np.asarray(draw.force) > 2.0
+        forces = {"force_mean": np.asarray(draw.force), "force_peak": np.asarray(draw.friction)}
+        rise = {"peak_rise": np.asarray(draw.offset)[:, 0]}
+        ends = {"success": lifted, "never_lifted": ~lifted}
+        return run.Trials(**shown | numbers | forces | rise | ends)
+
+    monkeypatch.setattr(run, "run_trials", tried)
+    usual = replace(own.config, engine="mjx", episodes=4)
+    changes = {}, {"friction": 0.5}, {"squeeze_force": 1.0}, {"seed": 3, "angle_deg": 2.0}
+    configs = [replace(usual, **change) for change in changes]
+
+    def evaluated(*some):
+        beside = own.world, own.names, some, None, own.states.reached, Console()
+        return run.evaluate_beside(*beside)
+
+    together = evaluated(*configs)
+    assert batches == [(32, 32)]
+    for found, config in zip(together, configs, strict=True):
+        ((rows, trials),) = evaluated(config)
+        assert found.rows == rows and [row.object for row in rows] == list(names)
+        jax.tree.map(np.testing.assert_array_equal, found.trials, trials)
+    assert [found.rows[0].successes for found in together] == [4, 4, 0, 4]
+    batches.clear()
+    evaluated(*(replace(config, worlds=10) for config in configs))
+    assert batches == [(8, 8)] * 4, "whole objects"
+    batches.clear()
+    evaluated(*(replace(config, engine="mujoco") for config in configs))
+    assert batches == [(4, 4)] * 8, "native worlds of one object are stepped together"
+    for other in ({"squeeze_split": "balanced"}, {"episodes": 5}, {"engine": "mujoco"}):
+        with pytest.raises(ValueError, match="share no task"):
+            evaluated(usual, replace(usual, **other))

@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from jax.tree_util import Partial
 
 import mjx_grasp.evaluation.trials as module
@@ -13,10 +15,12 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.trials import (
     Trials,
     by_object,
+    evenly,
     force_apart,
     incidents,
     paired_draws,
     record_trials,
+    room_for,
     run_trials,
     zero_controller,
 )
@@ -156,3 +160,20 @@ def test_draws_of_several_objects_are_those_of_each_and_their_trials_come_apart_
     for own, apart in zip(alone, by_object(ran, 2), strict=True):
         np.testing.assert_array_equal(apart.row, own.row)
         np.testing.assert_array_equal(apart.force_mean, own.row)
+
+
+@given(st.lists(st.integers(), max_size=40), st.integers(1, 12))
+def test_items_in_parts_that_are_as_even_as_can_be(items, most):
+    parts = evenly(items, most)
+    sizes = [len(part) for part in parts]
+    assert [item for part in parts for item in part] == items
+    assert len(parts) == -(-len(items) // most)
+    assert sizes == sorted(sizes, reverse=True)
+    assert not sizes or (sizes[0] <= most and sizes[0] - sizes[-1] <= 1)
+
+
+def test_conditions_have_room_beside_each_other_on_a_gpu():
+    assert room_for("mjx", 512) == 8
+    assert room_for("mjx", 3584) == room_for("mjx", 9000) == 1
+    assert room_for("mjx", 100, worlds=450) == 4
+    assert room_for("mujoco", 8) == 1

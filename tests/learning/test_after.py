@@ -113,14 +113,17 @@ def test_the_untrained_policy_is_among_the_baselines_once(untrained, forces):
     assert {c.offset_mm for c in found} == {2.0}
 
 
-def test_a_squeeze_beside_a_policy_is_in_its_task_with_its_own_force():
-    """But for the rewards, which no evaluation reads: tasks that pay otherwise share a program."""
+def test_a_squeeze_beside_a_policy_is_in_its_task():
+    """But for the rewards, which no evaluation reads, and its force, which each start brings.
+
+    Tasks that pay or press otherwise share a program.
+    """
     task = preset_config("paper").task
     assert task.lift.delay_s == 0.0 and not task.grip.together
     config = EvaluateConfig(out=Path("x.json"), controller="squeeze", squeeze_force=4.0)
     with pytest.raises(Asked) as asked:
         evaluate(Recorder(), ["apple"], config, None, np.zeros(9, bool), Console(), task)
-    own = replace(task, grip=replace(task.grip, force=4.0), reward=RewardConfig(reach=0.0))
+    own = replace(task, reward=RewardConfig(reach=0.0))
     assert asked.value.args == (own, config.noise)
 
 
@@ -130,7 +133,7 @@ def test_beside_a_policy_a_squeeze_is_plain_and_a_grip_its_own():
     task = replace(paper, grip=replace(REACTING, ramp_s=0.3))
     out = Path("x.json")
     squeeze = EvaluateConfig(out, "squeeze", squeeze_force=4.0, squeeze_split="balanced")
-    plain = GripConfig(force=4.0, split="balanced", ramp_s=0.3)
+    plain = GripConfig(split="balanced", ramp_s=0.3)
     grip = EvaluateConfig(out, "grip", grip=replace(REACTING, friction=0.5))
     for config, expected in ((squeeze, plain), (grip, grip.grip)):
         with pytest.raises(Asked) as asked:

@@ -259,7 +259,7 @@ PARTS = (
         "ablation",
         "whole grasps without one part of the method each, and a policy that only knows its budget",
         (
-            "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 16 GRASPS",
+            "experiments/pipeline_ablation.py --objects-dir SCANS --episodes 64 GRASPS",
             "experiments/pipeline_ablation.py --objects-dir SCANS --objects bowl toy_airplane "
             "pitcher_base mug cracker_box --variants full sideways walls-alike --scenarios nominal "
             "--episodes 24 GRASPS "

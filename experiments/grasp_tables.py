@@ -15,9 +15,10 @@ import numpy as np
 from markdown_tables import NOTHING, markdown, read
 
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.grasps.blocks import blocks_of
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
-from mjx_grasp.objects.catalogue import groups
+from mjx_grasp.objects.catalogue import find_objects, groups
 from mjx_grasp.pipeline.phases import Failure
 from mjx_grasp.records.table import Table
 
@@ -175,7 +176,7 @@ def scenarios(path: Path) -> str:
 
 
 def scenarios_by_engine(one: Path, other: Path) -> str:
-    """The same trials of whole grasps on two engines; of scenarios that both files have.
+    """The same trials of whole grasps on two engines: scenarios and trials that both files have.
 
     Raises:
         FileError: They are of one engine, or not the same trials.
@@ -186,10 +187,13 @@ def scenarios_by_engine(one: Path, other: Path) -> str:
     engines = _engine(first), _engine(second)
     if engines[0] == engines[1]:
         raise FileError(other, engines[1], f"another engine than that of {one}")
-    for name in ("objects", "episodes", "seed", "force_budget", "controller"):
+    for name in ("objects", "seed", "force_budget", "controller"):
         found, expected = second["config"][name], first["config"][name]
         if found != expected:
             raise FileError(other, f"{name} {found!r}", f"{expected!r}, as in {one}")
+    if not _first_of_the_other(first["config"], second["config"]):
+        found, expected = second["config"]["episodes"], first["config"]["episodes"]
+        raise FileError(other, f"episodes {found}", f"{expected}, as in {one}, or whole blocks")
     names = [name for name in first["scenarios"] if name in second["scenarios"]]
     if first["sha256"] != second["sha256"]:
         raise FileError(other, "another policy", f"that of {one}")
@@ -197,7 +201,8 @@ def scenarios_by_engine(one: Path, other: Path) -> str:
         for what in ("settings", "meshes"):
             if first["scenarios"][name][what] != second["scenarios"][name][what]:
                 raise FileError(other, f"{name} of other {what}", f"those of {one}")
-    rows = {n: [record["scenarios"][n]["rows"] for record in (first, second)] for n in names}
+    each = {n: [record["scenarios"][n]["rows"] for record in (first, second)] for n in names}
+    rows = {n: [own[: min(map(len, of))] for own in of] for n, of in each.items()}
     every = [[row for n in names for row in rows[n][k]] for k in (0, 1)]
     lines = [(name.replace("_", " "), *_compared(*rows[name])) for name in names]
     held, times, forces = (
@@ -207,6 +212,14 @@ def scenarios_by_engine(one: Path, other: Path) -> str:
     header = ("scenario", "trials", *held, "points", "same outcome %", *times, *forces)
     lines.append(("all", *_compared(*every)))
     return markdown(Table("Scenarios by engine", header, tuple(lines), summary=1))
+
+
+def _first_of_the_other(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether one of two runs of the same objects and seed has the first trials of the other's."""
+    objects = len(find_objects(one["objects"]))
+    runs = [blocks_of(config["episodes"], objects, config["seed"]) for config in (one, other)]
+    few, many = sorted(runs, key=len)
+    return many[: len(few)] == few
 
 
 def _compared(first: Sequence[dict[str, Any]], second: Sequence[dict[str, Any]]) -> tuple[str, ...]:

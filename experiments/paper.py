@@ -25,7 +25,6 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from typing import Any
 import jax
 import tyro
 from paper_lanes import Step, in_lanes, steps_of
-from paper_parts import FEWER, FOLDER, PARTS, TRIALS, Part, fewer
+from paper_parts import CORES, FEWER, FOLDER, GRASPS, PARTS, SHARERS, TRIALS, Part, fewer
 from rich.console import Console
 from rich.table import Table
 
@@ -54,11 +53,9 @@ from mjx_grasp.tasks.assemble import has_gpu
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMA = "mjx_grasp.paper/1"
 LAST = "experiments/make_readme.py"
-_CORES, _SHARERS = "CORES", "SHARERS"
 QUICKLY = 64
 """Trials of an object and condition with `--quick` [-]"""
 _IN_MJX = "--engine", "mjx"
-_GRASPS = "GRASPS"
 _CORES_EACH = 2
 """Of processes that share a GPU: each compiles for minutes on one core, and then steps on all."""
 _CORES_EACH_IN_MJX = 4
@@ -236,7 +233,7 @@ def main(config: PaperConfig) -> None:
         forms = {command, whole[command]} if config.quick else {command}
         return not any(done(kept.commands, form, scans) for form in forms)
 
-    steps = steps_of(possible, is_left, partial(lane_of, quick=config.quick))
+    steps = steps_of(possible, is_left, lane_of)
     beside = len({step.lane for step in steps}) > 1
     began, writing, left = time.monotonic(), threading.Lock(), list(steps)
     before = kept.commands
@@ -283,19 +280,16 @@ def _guess(left: Sequence[Step], state: dict[str, Any]) -> str:
     return f", about {max(of_lane.values(), default=0.0) / 60:.0f} min left"
 
 
-def lane_of(command: str, quick: bool) -> str:
+def lane_of(command: str) -> str:
     """What a command keeps busy; without a GPU all share the cores.
 
-    What is timed on the GPU, trainings and all, has no neighbour there. With `--quick`, which times
-    nothing, evaluations have one: commands of several processes, which compile for minutes.
+    What is timed on the GPU, trainings and all, has no neighbour there; and what is not takes as
+    long beside another as the two take one after the other.
     """
-    several = _GRASPS, _SHARERS
-    on_gpu = TRIALS, FEWER, " ".join(_IN_MJX), "mjx_grasp.train"
-    if has_gpu() and any(word in command for word in several):
-        return "processes on the GPU" if quick else "the GPU"
+    on_gpu = TRIALS, FEWER, GRASPS, SHARERS, " ".join(_IN_MJX), "mjx_grasp.train"
     if has_gpu() and any(word in command for word in on_gpu):
         return "the GPU"
-    return _CORES if _CORES in command or not has_gpu() else "one process"
+    return CORES if CORES in command or not has_gpu() else "one process"
 
 
 def going_on(words: list[str]) -> list[str]:
@@ -325,11 +319,11 @@ def worded(command: str, scans: Path) -> list[str]:
     sharers = max(1, cores // _CORES_EACH) if gpu else cores
     there = os.path.relpath(scans, ROOT)  # results keep the command
     own = max(1, round(cores * (1.0 - _FOR_THE_GPU))) if gpu else cores
-    given = {"SCANS": there, _CORES: str(own), _SHARERS: str(sharers)}
+    given = {"SCANS": there, CORES: str(own), SHARERS: str(sharers)}
     words = []
     for word in shlex.split(command):
         kind, _, trials = word.partition(":")
-        if word == _GRASPS:
+        if word == GRASPS:
             beside = max(1, cores // _CORES_EACH_IN_MJX) if gpu else cores
             words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
         elif f"{kind}:" not in (TRIALS, FEWER):
@@ -344,7 +338,7 @@ def worded(command: str, scans: Path) -> list[str]:
 
 def _more_environment(command: str) -> dict[str, str]:
     """What a command's own environment has beside this one's."""
-    if _CORES in command:  # processes that share all cores would only wait for each other on a GPU
+    if CORES in command:  # processes that share all cores would only wait for each other on a GPU
         return {"JAX_PLATFORMS": "cpu"}
     if "mjx_grasp.train" in command:
         return {}

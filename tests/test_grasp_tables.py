@@ -134,6 +134,19 @@ def test_the_same_whole_grasps_on_two_engines_are_compared_trial_by_trial(tmp_pa
             tables.scenarios_by_engine(native, mjx)
     with pytest.raises(FileError, match=r"found mujoco, expected another engine than that of"):
         tables.scenarios_by_engine(native, native)
+    # Of runs in blocks of 8 episodes one may have more of them than the other, but only whole ones.
+    longer = {name: scenario("SSSSLL", 3.0) for name in found}
+    for few, many, good in ((8, 16, True), (16, 64, True), (4, 8, False), (12, 64, False)):
+        for one, other, seen in ((few, many, found), (many, few, longer)):
+            says = {"config": config | {"episodes": one}, "scenarios": seen, "sha256": sha256}
+            native.write_text(json.dumps(says))
+            mjx.write_text(json.dumps(record | {"config": in_mjx | {"episodes": other}}))
+            if not good:
+                with pytest.raises(FileError, match=f"episodes {other}, expected {one}, as in"):
+                    tables.scenarios_by_engine(native, mjx)
+            else:
+                line = values(tables.scenarios_by_engine(native, mjx).splitlines()[2])
+                assert line[:4] == ["nominal", "4", "100.0", "75.0"], "those that both have"
 
 
 def test_how_many_trials_there_are_is_read_from_the_results(tmp_path):

@@ -4,7 +4,6 @@ import json
 import shlex
 import threading
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +12,7 @@ from loaded import script
 from rich.console import Console
 
 from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.evaluation.grasps.blocks import blocks_of
 from mjx_grasp.records.spread import Spread
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -288,12 +288,12 @@ def test_a_quick_look_trains_nothing_and_reads_no_training(plain):
     assert not any("policy.npz" in command for command in commands)
     fewer = [plain.fewer(command) for command in commands]
     assert any("TRIALS:" in command or "|" in command for command in commands)
-    assert not any("TRIALS:" in command or "|" in command for command in fewer)
+    assert not any(word in c for c in fewer for word in ("TRIALS:", "|", "GRASPS", "SHARERS"))
     assert [plain.fewer(command) for command in fewer] == fewer
 
 
-def test_a_quick_look_makes_the_trials_that_native_ones_are_compared_with(plain):
-    """Tables of both engines refuse files of other trials, and would stop the last step."""
+def test_a_quick_look_makes_the_trials_that_others_are_compared_with(plain):
+    """Or the first of them: tables of both engines refuse others, and would stop the last step."""
     words = [shlex.split(plain.fewer(c)) for part in plain.PARTS for c in part.commands]
     episodes = {
         made[made.index("--out") + 1]: made[made.index("--episodes") + 1]
@@ -301,8 +301,11 @@ def test_a_quick_look_makes_the_trials_that_native_ones_are_compared_with(plain)
         if "--out" in made and "--episodes" in made
     }
     results = "experiments/results"
-    for one, other in (("eight_native", "eight"), ("scenarios", "scenarios")):
-        assert episodes[f"{results}/{one}.json"] == episodes[f"{results}/engines/{other}.json"]
+    eight, in_mjx = (f"{results}/{name}.json" for name in ("eight_native", "engines/eight"))
+    assert episodes[eight] == episodes[in_mjx]
+    few, many = (f"{results}/{name}.json" for name in ("scenarios", "engines/scenarios"))
+    runs = [blocks_of(int(episodes[name]), objects=8, seed=9) for name in (few, many)]
+    assert 0 < len(runs[0]) < len(runs[1]) and runs[1][: len(runs[0])] == runs[0]
 
 
 def test_whole_grasps_are_made_in_mjx_on_a_gpu(paper, tmp_path, monkeypatch):
@@ -408,19 +411,14 @@ def test_lanes_take_what_is_ready_first_and_begin_nothing_after_an_error(monkeyp
 
 def test_every_command_of_the_paper_has_a_lane_and_needs_none_after_it(plain, monkeypatch):
     monkeypatch.setattr(plain, "has_gpu", lambda: True)
-    lanes = {"the GPU", "CORES", "one process"}
-    for quick, more in ((True, {"processes on the GPU"}), (False, set())):
-        lane = partial(plain.lane_of, quick=quick)
-        steps = plain.steps_of(plain.PARTS, lambda command: True, lane)
-        assert {step.lane for step in steps} == lanes | more
+    steps = plain.steps_of(plain.PARTS, lambda command: True, plain.lane_of)
+    assert {step.lane for step in steps} == {"the GPU", "CORES", "one process"}
     seen = set()
     for step in steps:
         assert step.after <= seen, step
         seen.add(step.command)
     monkeypatch.setattr(plain, "has_gpu", lambda: False)
-    assert {plain.lane_of(step.command, quick) for step in steps for quick in (True, False)} == {
-        "CORES"
-    }
+    assert {plain.lane_of(step.command) for step in steps} == {"CORES"}
 
 
 def test_a_training_that_was_stopped_goes_on_and_one_of_other_code_is_put_aside(

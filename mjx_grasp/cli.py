@@ -23,15 +23,20 @@ if TYPE_CHECKING:
 _INTERRUPTED = 130
 
 
-def run_command(command: Callable[[], None], keeps: bool = True) -> None:
+def run_command(command: Callable[[], None], keeps: bool = True, alone: bool = False) -> None:
     """Runs a command; an expected error ends it with its message and status 2, Ctrl-C with 130.
 
     Args:
         command: What it does.
         keeps: Whether the next one need not compile again what it compiles; a benchmark does.
+        alone: Whether it is about one robot, which is planned for on the CPU in milliseconds, while
+            planning is compiled for minutes for a GPU: this is left alone then, unless the
+            environment's own `JAX_PLATFORMS` names it.
     """
     if keeps:
         keep_compiled()
+    if alone:
+        os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
         command()
     except MjxGraspError as error:

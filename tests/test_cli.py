@@ -2,6 +2,7 @@
 
 import ast
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -113,3 +114,18 @@ def test_too_little_memory_is_an_error_without_a_traceback(capsys):
         run_command(command)
     assert end.value.code == 2
     assert capsys.readouterr().err == "error: not enough memory (Unable to allocate 80 GiB)\n"
+
+
+@pytest.mark.parametrize("own", [None, "cuda"])
+@pytest.mark.parametrize(("name", "alone"), [("demo", True), ("view", True), ("scenarios", False)])
+def test_one_robot_is_planned_for_on_the_cpu_unless_the_user_says_otherwise(
+    monkeypatch, name, alone, own
+):
+    """Minutes of compiling for a GPU are not worth it; thousands of worlds are another matter."""
+    monkeypatch.setenv("JAX_PLATFORMS", own or "")
+    if own is None:
+        monkeypatch.delenv("JAX_PLATFORMS")
+    monkeypatch.setattr("sys.argv", [name, "--help"])
+    with pytest.raises(SystemExit):
+        runpy.run_module(f"mjx_grasp.{name}", run_name="__main__")
+    assert os.environ.get("JAX_PLATFORMS") == (own or ("cpu" if alone else None))

@@ -36,11 +36,14 @@ class GrasperConfig(Settings):
     lost: PositiveOrNever = 0.050
     """distance of the pads' midpoint from that of the contacts from which a hand that closes goes
     back to reaching: the object is elsewhere [m]"""
+    follows: WholeNumber = 3
+    """times that it does so; from then on such a grasp has failed, for it may be the hand itself
+    that pushes the object away [-]"""
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
     retries: WholeNumber = 5
-    """times that a grasp which was not reached, found no contact or lost the object is begun again,
-    in the latter cases away from its thumb's contact [-]"""
+    """times that a grasp which was not reached or has failed is begun again, in the latter case
+    away from its thumb's contact [-]"""
     avoided: NonNegative = 0.020
     """that far [m]"""
     dropped: PositiveOrNever = 0.060

@@ -346,7 +346,9 @@ class Grasper:
         moved = ~closer.lifting & (elsewhere > config.lost)
         no_contact = ~closer.lifting & ~moved & (closer.tick * self.dt >= config.contact_s)
         lost = closer.lifting & (displaced > config.dropped)
-        retries = (lost | no_contact) & (state.retries < config.retries)
+        followed = state.returns - (state.retries - state.vain)
+        too_often = moved & (followed >= config.follows)
+        retries = (lost | no_contact | too_often) & (state.retries < config.retries)
         goes_back = moved | retries
         reason = jnp.select(
             [goes_back, lost, no_contact],

@@ -268,6 +268,27 @@ def test_an_object_that_moves_away_is_reached_for_again(grasper, tick, closing, 
     np.testing.assert_allclose(again.reach.clock, grasper.dt, atol=1e-6)
 
 
+def test_an_object_that_is_pushed_away_again_and_again_is_grasped_elsewhere(
+    make, closing, home, known, there
+):
+    """As far as tries are left; without any it is followed for as long as there is time."""
+    grasper = make(config=GrasperConfig(retries=3, follows=2))
+    tick = jax.jit(lambda state, what: grasper.tick(state, home, known, what)[0])
+    away, here = seen(p=there + jnp.array([0.055, 0.0, 0.0])), seen(p=there)
+    state, found = closing._replace(retries=jnp.int32(1), vain=jnp.int32(1)), []
+    for _ in range(5):
+        state = tick(state, away)
+        assert (state.phase, state.failure) == (Phase.REACHING, Failure.NONE)
+        tried = np.isfinite(state.avoid).all()
+        found.append((int(state.returns), int(state.retries), bool(tried)))
+        contacts = state.closing.contacts.position
+        assert not tried or (state.avoid == contacts[0]).all() or state.retries == 3
+        state = tick(state, here)
+        assert state.phase == Phase.CLOSING
+        state = tick(state, here)
+    assert found == [(1, 1, False), (2, 1, False), (3, 2, True), (4, 3, True), (5, 3, True)]
+
+
 @pytest.mark.long
 def test_an_object_at_rest_whose_pose_is_noisy_rests(make, home, known):
     grasper, draw = make(gate=NEVER), np.random.default_rng(0)

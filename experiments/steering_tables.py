@@ -18,6 +18,8 @@ _NEAREST = ("nearest_mm", "nearest_easy_mm")
 _APART = ("first_mm", "chosen_mm", "achieved_mm")
 _COMPARED = (("chosen_mm", "nearest_easy_mm"), *((at, at) for at in _APART))
 """Of a default grasp, and of the steered one from the same pose."""
+_ALIKE_MM = 2.0
+"""Contacts that are farther by less are as near."""
 Places = list[dict[str, dict[str, Any]]]
 """Of each place the rows by the way of steering."""
 
@@ -110,7 +112,7 @@ def executed(path: Path) -> str:
                     f"{len(rows)}",
                     way,
                     *apart,
-                    *("" if way == ways[0] else _nearer(pairs, *of) for of in _COMPARED),
+                    *("" if way == ways[0] else _compared(pairs, *at) for at in _COMPARED),
                     f"{100 * held / len(rows):.1f}",
                     _median([row["force_mean_n"] for row in rows]),
                 )
@@ -118,16 +120,24 @@ def executed(path: Path) -> str:
     header = (
         *("places", "grasps", "steering", "nearest mm", "nearest easy mm"),
         *("first mm", "last mm", "achieved mm", "could be nearer %"),
-        *("first nearer %", "last nearer %", "achieved nearer %", "lifted and held %", "force N"),
+        *("first nearer / farther %", "last nearer / farther %", "achieved nearer / farther %"),
+        *("lifted and held %", "force N"),
     )
     return markdown(Table("Steered grasps", header, tuple(lines), names=3))
 
 
-def _nearer(pairs: Sequence[Sequence[dict[str, Any]]], default: str, steered: str) -> str:
-    """In how many pairs the second is nearer, of those in which both come so far [%]."""
+def _compared(pairs: Sequence[Sequence[dict[str, Any]]], default: str, steered: str) -> str:
+    """In how many pairs the second is nearer, of those in which both come so far [%].
+
+    Where it is about the same contacts of both, also in how many it is clearly farther.
+    """
     apart = ((a[default], b[steered]) for a, b in pairs)
     both = [(a, b) for a, b in apart if a is not None and b is not None]
-    return f"{100 * np.mean([b < a for a, b in both]):.0f}" if both else ""
+    if not both:
+        return ""
+    nearer = f"{100 * np.mean([b < a for a, b in both]):.0f}"
+    farther = f"{100 * np.mean([b > a + _ALIKE_MM for a, b in both]):.0f}"
+    return f"{nearer} / {farther}" if default == steered else nearer
 
 
 def _median(values: Sequence[float | None]) -> str:

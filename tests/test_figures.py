@@ -104,9 +104,9 @@ def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
     lines = script("steering_tables").executed(path).splitlines()[2:]
     default = "8.0 | 9.0 | 40.0 | 10.0 | 40.0 |  |  |  |  | 100.0 | 2.0"
     assert lines[0] == f"| parts | 1 | default | {default} |"
-    alone = "8.0 | 9.0 | 12.0 | 10.0 | 12.0 | 100 | 100 | 0 | 100 | 100.0 | 2.0"
+    alone = "8.0 | 9.0 | 12.0 | 10.0 | 12.0 | 100 | 100 / 0 | 0 / 0 | 100 / 0 | 100.0 | 2.0"
     assert lines[1] == f"| parts | 1 | contacts | {alone} |"
-    both = "8.0 | 10.0 | 12.0 | 10.0 | 12.0 | 50 | 100 | 0 | 100 | 50.0 | 2.0"
+    both = "8.0 | 10.0 | 12.0 | 10.0 | 12.0 | 50 | 100 / 0 | 0 / 0 | 100 / 0 | 50.0 | 2.0"
     assert lines[5] == f"| all | 2 | contacts | {both} |"
     only = f"| all that do not lie on the table | 1 | contacts | {alone} |"
     assert lines[-1] == only

@@ -6,7 +6,7 @@ is gone on with, unless there are uncommitted changes: an interrupted run loses 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -85,6 +85,11 @@ class Contestant(NamedTuple):
     """None: the task's own command alone"""
     force: float
     """budget of the policy, or what a grip commands [N]"""
+
+
+def compiled_for(who: Contestant) -> Hashable:
+    """What those have in common that share compiled functions in one scene."""
+    return force_apart(who.task)[0], who.act is None
 
 
 class Comparison(NamedTuple):

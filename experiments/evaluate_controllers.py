@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import groupby, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -283,6 +283,8 @@ class _Job(NamedTuple):
     chosen: list[EvaluateConfig]
     """one, or in MJX as many as have room beside each other and share compiled functions"""
     names: list[str]
+    room: int
+    """conditions for which the batches have room that share these functions"""
 
 
 def _compiled(one: EvaluateConfig) -> Hashable:
@@ -295,7 +297,8 @@ def _evaluated(own: _Evaluator, job: _Job) -> list[dict[str, Any]]:
     """Rows of each condition, and incidents, for the journal."""
     policy = own.policy if job.chosen[0].controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
-    found = evaluate_beside(own.world, job.names, job.chosen, policy, own.reached, quiet)
+    beside = job.names, job.chosen, policy, own.reached, quiet
+    found = evaluate_beside(own.world, *beside, room=job.room)
     return [
         {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
         for rows, trials in found
@@ -327,18 +330,23 @@ def main(config: ComparisonConfig) -> None:
     parts = [own.names[k : k + together] for k in range(0, len(own.names), together)]
     ended: dict[int, tuple[list[ResultRow], dict[str, int]]]
     ended = {k: (known[each], {}) for k, each in enumerate(asked) if each in known}
-    left = [k for k in range(finished, len(asked)) if k not in ended]
-    # One after the other those that share compiled functions: these are kept of one task alone.
-    first = {_compiled(asked[k]): k for k in reversed(left)}
-    left.sort(key=lambda k: first[_compiled(asked[k])])
-    alike = (list(of) for _, of in groupby(left, key=lambda k: _compiled(asked[k])))
+    # What is beside what does not depend on what is finished: the journal knows it by that.
+    alike: dict[Hashable, list[int]] = {}
+    for k in range(len(asked)):
+        if k not in ended:
+            alike.setdefault(_compiled(asked[k]), []).append(k)
     room = room_for(config.engine, config.episodes * len(own.names), config.worlds)
-    groups = [some for of in alike for some in evenly(of, room)]
-    jobs = [
-        (f"controllers {some}, from {of[0]}", _Job([asked[k] for k in some], of))
-        for some in groups
-        for of in parts
-    ]
+    # One after the other those that share compiled functions: these are kept of one task alone.
+    groups, jobs = [], []
+    for of_a_kind in alike.values():
+        batches = evenly(of_a_kind, room)
+        for some in batches:
+            if max(some) >= finished:
+                groups.append(some)
+                chosen, name = [asked[k] for k in some], f"controllers {some}"
+                jobs += [
+                    (f"{name}, from {of[0]}", _Job(chosen, of, len(batches[0]))) for of in parts
+                ]
     setup = (lambda: own) if config.alone else partial(_load, config)
     journal = Journal(config.out, made_of, made["git"])
     results = journaled(
@@ -357,7 +365,8 @@ def main(config: ComparisonConfig) -> None:
             write_results(config.out, rows, made, robot, not_eligible=own.without, **about)
 
     with counting_progress(console) as bar:
-        job = bar.add_task("controllers", total=len(asked), completed=len(asked) - len(left))
+        left = sum(map(len, groups))
+        job = bar.add_task("controllers", total=len(asked), completed=len(asked) - left)
         write()
         for some in groups:
             for k, *done in zip(some, *islice(results, len(parts)), strict=True):

@@ -73,8 +73,8 @@ class PaperConfig(CommandSettings):
     parts: tyro.conf.Positional[tuple[str, ...]] = ()
     """by name; if none is named all but those that have to be, see `--list`"""
     quick: bool = False
-    """only evaluations of the shipped policies, in MJX where there is a choice, with fewer trials
-    than published; needs a GPU"""
+    """only evaluations of the shipped policies, with fewer trials than published: closing in MJX on
+    a GPU, which has to be there, whole grasps on the cores"""
     list: bool = False
     """only say what there is, and what of it is done"""
     objects_dir: Path | None = None
@@ -340,7 +340,7 @@ def _more_environment(command: str) -> dict[str, str]:
     """What a command's own environment has beside this one's."""
     if CORES in command:  # processes that share all cores would only wait for each other on a GPU
         return {"JAX_PLATFORMS": "cpu"}
-    if "mjx_grasp.train" in command:
+    if "mjx_grasp.train" in command or not has_gpu():
         return {}
     # Kernels are not tried out for each function: only trainings run long enough to gain that back.
     own = os.environ.get("XLA_FLAGS", "")  # of two flags the later one counts

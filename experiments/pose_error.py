@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from compared import (
     Condition,
     Runner,
     compared,
+    compiled_for,
     journal_of,
     keep,
 )
@@ -92,7 +92,8 @@ def main(config: PoseErrorConfig) -> None:
     ]
     journal = journal_of(config, found)
     setup = partial(_runner, config)
-    results = journaled(config, _rows, cells, setup, journal, kind=itemgetter(0))
+    kinds = {name: compiled_for(who) for name, who in found.contestants.items()}
+    results = journaled(config, _rows, cells, setup, journal, kind=lambda of: kinds[of[0]])
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("conditions", total=len(left) * sum(map(len, beside)))
         for name in left:

@@ -11,14 +11,22 @@ revision of the code, is left alone, so that an interrupted run goes on.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from compared import ComparedConfig, Condition, Runner, compared, journal_of, keep
+from compared import (
+    ComparedConfig,
+    Condition,
+    Runner,
+    compared,
+    compiled_for,
+    journal_of,
+    keep,
+)
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
@@ -104,7 +112,7 @@ class Runners:
             physics, drawn = SceneConfig(finger_torque=limit), (config.episodes, config.seed)
             return Runner(found, *drawn, config.engine, physics, beside=most[limit])
 
-        self._of = functools.cache(runner)
+        self._of = functools.lru_cache(maxsize=1)(runner)
 
     def rows(self, cells: Sequence[Cell]) -> list[list[dict[str, Any]]]:
         """A controller's rows in each of some cells of one scene."""
@@ -120,21 +128,26 @@ def main(config: SensitivityConfig) -> None:
         (name, factor, value)
         for name in found.contestants
         for factor in asked
-        if factor not in done.get(name, {})
         for value in asked[factor]
     ]
-    beside = batches(cells, room_for(config.engine, config.episodes * len(found.names)))
+    # What is beside what does not depend on what is finished: the journal knows it by that.
+    every = batches(cells, room_for(config.engine, config.episodes * len(found.names)))
     most: dict[float, int] = {}
-    for some in beside:
+    for some in every:
         limit = _limit(some[0])
         most[limit] = max(most.get(limit, 0), len(some))
+    beside = [s for s in every if any(factor not in done.get(name, {}) for name, factor, _ in s)]
     jobs = [(f"{some}", some) for some in beside]
     journal = journal_of(config, found)
     setup = functools.partial(Runners, config, most)
-    results = journaled(config, Runners.rows, jobs, setup, journal, kind=lambda some: some[0][0])
+
+    def kind(some: Sequence[Cell]) -> Hashable:
+        return _limit(some[0]), compiled_for(found.contestants[some[0][0]])
+
+    results = journaled(config, Runners.rows, jobs, setup, journal, kind=kind)
     ended: dict[Cell, list[dict[str, Any]]] = {}
     with counting_progress(Console(stderr=True)) as bar:
-        job = bar.add_task("conditions", total=len(cells))
+        job = bar.add_task("conditions", total=sum(map(len, beside)))
         for some, rows in zip(beside, results, strict=True):
             ended |= zip(some, rows, strict=True)
             bar.update(job, advance=len(some))

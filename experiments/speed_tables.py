@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from markdown_tables import NOTHING, markdown, read, short_revision
-from paper_parts import FEWER, Part, fewer
+from paper_parts import Part, fewer
 
 from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.tables import read_groups
@@ -67,7 +67,8 @@ def paper_times(path: Path, parts: Sequence[Part]) -> str:
         ran = [form for form in forms if form in commands]
         if ran:
             counted = f"{len(ran)} of {len(part.commands)}"
-            row(part.name, counted, any(FEWER in c for c in ran), [commands[c] for c in ran])
+            quick = any(form not in part.commands for form in ran)
+            row(part.name, counted, quick, [commands[form] for form in ran])
     for run in kept.get("runs", []):
         row(f"{len(run['parts'])} parts together", "all", run["quick"], [run])
     header = ("part", "commands", "quick", "minutes", "machine", "code")

@@ -160,6 +160,34 @@ def test_a_comparison_that_is_killed_loses_nothing_that_was_finished(
     assert sorted(tmp_path.iterdir()) == [first.out, second.out]
 
 
+@pytest.mark.parametrize("stop", [1, 2, 3])
+def test_a_comparison_in_mjx_that_is_killed_loses_no_batch(
+    script, first, tmp_path, monkeypatch, stop
+):
+    """Also of batches part of whose rows are in the file, as those of others come between."""
+    config = replace(first, out=tmp_path / "second.json", engine="mjx", worlds=384)
+    config = replace(config, conditions=("nominal", "heavy", "hard"), force_budgets=(1.5, 2.0, 3.0))
+    evaluated, done = script._evaluated, []
+
+    def stops(own, job):
+        if len(done) == stop:
+            raise KeyboardInterrupt
+        done.append(job)
+        assert len(job.chosen) <= job.room <= 3
+        return evaluated(own, job)
+
+    monkeypatch.setattr(script, "_evaluated", stops)
+    with pytest.raises(KeyboardInterrupt):
+        script.main(config)
+    stop = None
+    script.main(config)
+    asked = script.asked_of(config, script.policies == 2)
+    assert len(script.ran) == len(asked), "none twice"
+    rows = json.loads(config.out.read_text())["rows"]
+    assert [row["controller"] for row in rows[:: len(NAMES)]] == [each.controller for each in asked]
+    assert config.out.exists() and not list(tmp_path.glob(".*.begun"))
+
+
 def test_objects_are_shared_out_in_parts_and_rows_keep_their_order(
     script, first, tmp_path, monkeypatch
 ):

@@ -87,26 +87,27 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
 def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
 
-    def row(way, kind, outcome, achieved, easy=9.0):
+    def row(way, kind, outcome, achieved, easy=9.0, chosen=10.0):
         named = {"object": "mug", "kind": kind, "place": "rim", "steering": way}
         named |= {"height_mm": 60.0 if kind == "part" else 3.0}
         return named | {"outcome": outcome, "force_mean_n": 2.0} | {
             "nearest_mm": 8.0, "nearest_easy_mm": easy,
-            "first_mm": achieved, "chosen_mm": 10.0, "achieved_mm": achieved,
+            "first_mm": achieved, "chosen_mm": chosen, "achieved_mm": achieved,
         }  # fmt: skip
 
     rows = [
         row("default", "part", "success", 40.0), row("default", "side", "success", 20.0),
-        row("contacts", "part", "success", 12.0), row("contacts", "side", "slipped", None, 11.0),
+        row("contacts", "part", "success", 12.0, chosen=11.9),
+        row("contacts", "side", "slipped", None, 11.0, chosen=12.1),
     ]  # fmt: skip
     path = tmp_path / "grasps.json"
     path.write_text(json.dumps({"schema": "mjx_grasp.steered_grasps/4", "rows": rows}))
     lines = script("steering_tables").executed(path).splitlines()[2:]
     default = "8.0 | 9.0 | 40.0 | 10.0 | 40.0 |  |  |  |  | 100.0 | 2.0"
     assert lines[0] == f"| parts | 1 | default | {default} |"
-    alone = "8.0 | 9.0 | 12.0 | 10.0 | 12.0 | 100 | 100 / 0 | 0 / 0 | 100 / 0 | 100.0 | 2.0"
+    alone = "8.0 | 9.0 | 12.0 | 11.9 | 12.0 | 100 | 100 / 0 | 0 / 0 | 100 / 0 | 100.0 | 2.0"
     assert lines[1] == f"| parts | 1 | contacts | {alone} |"
-    both = "8.0 | 10.0 | 12.0 | 10.0 | 12.0 | 50 | 100 / 0 | 0 / 0 | 100 / 0 | 50.0 | 2.0"
+    both = "8.0 | 10.0 | 12.0 | 12.0 | 12.0 | 50 | 100 / 0 | 0 / 50 | 100 / 0 | 50.0 | 2.0"
     assert lines[5] == f"| all | 2 | contacts | {both} |"
     only = f"| all that do not lie on the table | 1 | contacts | {alone} |"
     assert lines[-1] == only
@@ -445,13 +446,14 @@ def sensitivity(tmp_path, monkeypatch, committed):
 
     def trials(task, controller, draw, worlds):
         noted.append((task.physics.scene.config.finger_torque, jax.device_get(draw)))
+        module.batches_of.append(worlds)
         if len(noted) == module.stop_at:
             raise KeyboardInterrupt
         yes, no = np.ones(len(draw.row), bool), np.zeros(len(draw.row), bool)
         shown = dict.fromkeys(Trials._fields, no) | {"row": np.asarray(draw.row), "success": yes}
         return Trials(**shown | {"force_mean": 2.0 * yes})
 
-    module.stop_at = 0
+    module.stop_at, module.batches_of = 0, []
     monkeypatch.setattr(sys.modules["compared"], "run_trials", trials)
     config = module.SensitivityConfig(
         out=tmp_path / "sensitivity.json",
@@ -522,6 +524,7 @@ def test_conditions_that_share_a_batch_in_mjx_have_the_rows_of_those_alone(sensi
     noted.clear()
     module.main(replace(config, engine="mjx"))
     assert [len(draw.row) for _, draw in noted] == 3 * [4 * 6] + 6 * [6]
+    assert module.batches_of[-9:] == 3 * [4 * 6] + 6 * [6]
     rows = json.loads(config.out.read_text())["controllers"]
     assert list(rows) == ["policy, budget 3 N", "squeeze 3 N", "grip"]
     frictions = [draw.friction for _, draw in noted[:3]]

@@ -168,8 +168,12 @@ def test_processes_of_the_paper_share_cores_or_a_gpu(
 
 
 def test_xla_tries_kernels_out_for_trainings_alone_or_if_asked(paper, monkeypatch):
+    """Without a GPU nothing is added: what JAX has compiled it knows by these flags."""
     monkeypatch.setenv("XLA_FLAGS", "--xla_gpu_autotune_level=4")
     added = paper.module._more_environment
+    monkeypatch.setattr(paper.module, "has_gpu", lambda: False)
+    assert added("experiments/pose_error.py TRIALS:5") == {}
+    monkeypatch.setattr(paper.module, "has_gpu", lambda: True)
     flags = "--xla_gpu_autotune_level=0 --xla_gpu_autotune_level=4"
     assert added("experiments/pose_error.py TRIALS:5") == {"XLA_FLAGS": flags}
     assert added("-m mjx_grasp.train --preset paper") == {}

@@ -47,7 +47,7 @@ def test_the_controllers_time_has_its_table(tmp_path):
 def test_what_the_papers_parts_took_has_its_table(tmp_path):
     path, table = tmp_path / "times.json", make_readme.speed_tables.paper_times
     parts = [
-        make_readme.speed_tables.Part("one", "the first", ("a", "b", "c TRIALS:8")),
+        make_readme.speed_tables.Part("one", "the first", ("a", "b 64|8", "c TRIALS:8")),
         make_readme.speed_tables.Part("two", "not timed", ("d",)),
     ]
     assert table(path, parts) == make_readme.speed_tables.NOTHING
@@ -60,7 +60,10 @@ def test_what_the_papers_parts_took_has_its_table(tmp_path):
     path.write_text(json.dumps({"commands": commands}))
     _, _, row = table(path, parts).splitlines()
     assert values(row) == ["one", "2 of 3", "yes", "2.0", "a GPU, 16 cores", both]
-    commands["c TRIALS:8"] = commands.pop("c FEWER:8")
+    commands["b 8"] = commands.pop("c FEWER:8")
+    path.write_text(json.dumps({"commands": commands}))
+    assert values(table(path, parts).splitlines()[2])[2] == "yes"
+    commands["c TRIALS:8"] = commands.pop("b 8")
     run = commands["a"] | {"parts": ["one", "two"], "quick": True}
     path.write_text(json.dumps({"commands": commands, "runs": [run]}))
     _, _, row, together = table(path, parts).splitlines()

@@ -26,6 +26,7 @@ from mjx_grasp.evaluation.trials import (
     force_apart,
     incidents,
     paired_draws,
+    room_for,
     run_trials,
     zero_controller,
 )
@@ -104,6 +105,7 @@ def evaluate_beside(
     reached: Bool[np.ndarray, " n"],
     console: Console,
     task: TaskConfig | None = None,
+    room: int = 1,
 ) -> list[Evaluated]:
     """Evaluations beside each other, which in MJX share batches: few worlds take as long as many.
 
@@ -116,6 +118,8 @@ def evaluate_beside(
         reached: Which start states are ends of reaches.
         console: Where the progress bar and warnings go.
         task: Whose lift and times squeeze and grip have.
+        room: For so many evaluations batches have room, if there are fewer: batches of one size are
+            compiled once.
 
     Raises:
         ValueError: They differ in more than that.
@@ -124,7 +128,10 @@ def evaluate_beside(
     tasks = [_task_of(config, policy, task) for config in configs]
     shared, forces = zip(*map(force_apart, tasks), strict=True)
     each = zip(configs, shared, strict=True)
-    if len({(c.engine, c.episodes, c.worlds, c.robot_errors, own) for c, own in each}) > 1:
+    alike = {
+        (c.controller, c.engine, c.episodes, c.worlds, c.robot_errors, own) for c, own in each
+    }
+    if len(alike) > 1:
         raise ValueError("evaluations that share no task cannot be beside each other")
     # Trials are drawn below, with a force that the grip keeps. A task itself uses the robot's
     # errors, and whether objects are turned.
@@ -132,9 +139,10 @@ def evaluate_beside(
     felt = StartNoise(angle_rad=MAX_ANGLE_RAD if turned else 0.0, robot=first.noise.robot)
     # Native MuJoCo steps the worlds of one object in threads; a GPU takes all that have room.
     most, episodes = first.worlds or WORLDS[first.engine], first.episodes
-    together = max(1, most // episodes) if first.engine == "mjx" else 1
+    together = room_for(first.engine, episodes, first.worlds)
     asked = [(k, name) for k in range(len(configs)) for name in names]
-    worlds = min(most, episodes * min(together, len(asked)))
+    wanted = max(len(configs), room) * len(names)
+    worlds = min(most, episodes * min(together, wanted))
     run = _task(world, first.engine, worlds, shared[0], felt)
     controller = policy.controller() if policy else zero_controller(run)
     found = [Evaluated([], {}) for _ in configs]

@@ -136,7 +136,7 @@ def room_for(engine: Engine, trials: int, worlds: int | None = None) -> int:
 
 
 def evenly(items: Sequence[Item], most: int) -> list[Sequence[Item]]:
-    """Items in parts of at most so many: of two sizes at most, for each size is compiled anew."""
+    """Items in parts of at most so many, as even as can be; none has more than the first."""
     count = -(-len(items) // most)
     of = [len(items) // count + (k < len(items) % count) for k in range(count)]
     return [items[end - n : end] for n, end in zip(of, accumulate(of), strict=True)]

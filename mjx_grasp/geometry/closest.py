@@ -125,8 +125,9 @@ def _weights(
     chosen, least = weights(*on_ab), squared_distance(*on_ab)
     for other in ((0.0 * d2, _ratio(d2, ac2)), (1.0 - along_bc, along_bc)):
         distance = squared_distance(*other)
-        chosen = jnp.where((distance < least)[..., None], weights(*other), chosen)
-        least = jnp.minimum(distance, least)
+        nearer = distance < least
+        chosen = jnp.where(nearer[..., None], weights(*other), chosen)
+        least = jnp.where(nearer, distance, least)
     return jnp.where(inside[..., None], weights(inside_v, inside_w), chosen)
 
 

@@ -38,7 +38,7 @@ class GrasperConfig(Settings):
     back to reaching: the object is elsewhere [m]"""
     follows: WholeNumber = 3
     """times that it does so; from then on such a grasp has failed, for it may be the hand itself
-    that pushes the object away [-]"""
+    that pushes the object away. Without tries left it follows on [-]"""
     contact_s: Positive = 4.0
     """time for closing; without a lift by then the grasp has failed [s]"""
     retries: WholeNumber = 5

@@ -110,7 +110,7 @@ class GraspState(NamedTuple):
     returns: Int[Array, ""]
     """times that the object was reached for again after a handoff"""
     retries: Int[Array, ""]
-    """of them, after a grasp that failed"""
+    """times that a grasp or reach that failed was begun again; after a grasp it is a return too"""
     vain: Int[Array, ""]
     """of these, after a reach in vain"""
     avoid: Float[Array, " 3"]

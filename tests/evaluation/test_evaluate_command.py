@@ -288,6 +288,11 @@ def test_evaluations_beside_each_other_are_those_alone(monkeypatch):
     batches.clear()
     evaluated(*(replace(config, engine="mujoco") for config in configs))
     assert batches == [(4, 4)] * 8, "native worlds of one object are stepped together"
-    for other in ({"squeeze_split": "balanced"}, {"episodes": 5}, {"engine": "mujoco"}):
+    others = {"squeeze_split": "balanced"}, {"episodes": 5}, {"engine": "mujoco"}
+    for other in (*others, {"controller": "grip", "grip": GripConfig()}):
         with pytest.raises(ValueError, match="share no task"):
             evaluated(usual, replace(usual, **other))
+    batches.clear()
+    beside = own.world, own.names, configs[:2], None, own.states.reached, Console()
+    run.evaluate_beside(*beside, room=3)
+    assert batches == [(16, 24)], "of the size of fuller ones"

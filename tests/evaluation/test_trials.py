@@ -102,7 +102,7 @@ def test_controllers_that_differ_in_what_they_are_told_are_compiled_once(task, s
 
 
 def test_a_force_of_the_start_is_a_force_of_the_settings(starts, native):
-    """Of a grip that keeps it, and of any other one from the lift on, which is not reached here."""
+    """Of a grip that keeps it; one that answers to its load has it in its settings."""
     forces = 2.0, 6.0
     runs = []
     for force in forces:

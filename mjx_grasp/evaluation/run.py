@@ -128,9 +128,7 @@ def evaluate_beside(
     tasks = [_task_of(config, policy, task) for config in configs]
     shared, forces = zip(*map(force_apart, tasks), strict=True)
     each = zip(configs, shared, strict=True)
-    alike = {
-        (c.controller, c.engine, c.episodes, c.worlds, c.robot_errors, own) for c, own in each
-    }
+    alike = {(c.controller, c.engine, c.episodes, c.worlds, c.robot_errors, own) for c, own in each}
     if len(alike) > 1:
         raise ValueError("evaluations that share no task cannot be beside each other")
     # Trials are drawn below, with a force that the grip keeps. A task itself uses the robot's

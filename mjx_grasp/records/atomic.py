@@ -137,13 +137,20 @@ def write_json(path: str | Path, content: Any, *, strict: bool = False) -> None:
 
 
 def _json(value: Any, line: str, dump: Callable[[Any], str]) -> str:
-    """As with an indent of one, but lists of words or numbers, which are long where there are many
-    trials, are a line each."""
+    """As with an indent of one, but what is long where there are many trials is a line: lists of
+    words or numbers, and in lists whatever has names and is of those alone."""
     inner = line + " "
+
+    def item(x: Any) -> str:
+        row = isinstance(x, dict) and not any(
+            isinstance(y, dict | list | tuple) for y in x.values()
+        )
+        return dump(x) if row else _json(x, inner, dump)
+
     if isinstance(value, dict) and value:
         # json.dumps knows what may be a key.
         named = ((json.dumps({k: 0})[1:-4], _json(x, inner, dump)) for k, x in value.items())
         return "{" + ",".join(f"{inner}{name}: {text}" for name, text in named) + line + "}"
     if isinstance(value, list | tuple) and any(isinstance(x, dict | list | tuple) for x in value):
-        return "[" + ",".join(inner + _json(x, inner, dump) for x in value) + line + "]"
+        return "[" + ",".join(inner + item(x) for x in value) + line + "]"
     return dump(value)

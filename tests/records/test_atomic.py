@@ -115,7 +115,16 @@ def test_json_says_what_json_dumps_would(tmp_path_factory, content):
     assert json.loads(path.read_text()) == json.loads(json.dumps(content))
 
 
-def test_a_list_of_numbers_is_a_line(tmp_path):
-    write_json(tmp_path / "a.json", {"rows": [{"forces_n": [1.5, None], "empty": []}], "seed": 0})
-    lines = ["{", ' "rows": [', "  {", '   "forces_n": [1.5, null],', '   "empty": []', "  }"]
-    assert (tmp_path / "a.json").read_text().splitlines() == [*lines, " ],", ' "seed": 0', "}"]
+def test_a_list_of_numbers_is_a_line_and_so_is_a_row_without_lists(tmp_path):
+    rows = [{"forces_n": [1.5, None], "empty": []}, {"object": "mug", "lifted_s": 1.5}, {}]
+    write_json(tmp_path / "a.json", {"rows": rows, "seed": {"of": 0}})
+    lines = ["{", ' "rows": [', "  {", '   "forces_n": [1.5, null],', '   "empty": []', "  },"]
+    lines += [
+        '  {"object": "mug", "lifted_s": 1.5},',
+        "  {}",
+        " ],",
+        ' "seed": {',
+        '  "of": 0',
+        " }",
+    ]
+    assert (tmp_path / "a.json").read_text().splitlines() == [*lines, "}"]

@@ -7,6 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mjx_grasp
+from mjx_grasp.pipeline.phases import Phase
+from mjx_grasp.robot.spec import load_robot
+
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -18,7 +22,7 @@ def example(name):
 
 
 def test_every_example_is_tried_here():
-    tried = {"own_mesh", "own_reward", "another_robot", "gym_training"}
+    tried = {"own_mesh", "own_reward", "another_robot", "gym_training", "replayed_robot"}
     assert {path.stem for path in EXAMPLES.glob("*.py")} == tried
 
 
@@ -57,3 +61,40 @@ def test_another_library_trains_a_policy_that_is_one_here(tmp_path, capsys):
     assert policy.meta["env_steps"] == 2 * 32 * 4
     assert (policy.std > 0).all() and np.ptp(policy.std) > 0, "no statistics were taken"
     assert any(np.abs(bias).max() > 0 for bias in policy.biases), "nothing was learnt"
+
+
+def test_a_replayed_robot_measures_what_is_in_the_log_and_keeps_what_it_is_sent(tmp_path):
+    module, spec = example("replayed_robot"), load_robot()
+    rng, log = np.random.default_rng(0), module.Log()
+    joints, sensed = len(spec.joints), sum(len(finger.joints) for finger in spec.hand.fingers)
+    for _ in range(3):
+        q, qd, target = rng.uniform(-0.1, 0.1, (3, joints)).astype(np.float32)
+        read = module.of_joints(spec)(q, qd, rng.normal(size=(5, sensed)).astype(np.float32))
+        pose = rng.normal(size=3).astype(np.float32), np.eye(3, dtype=np.float32)
+        touching = rng.random(3) < 0.5
+        log.add(read, mjx_grasp.Seen(*pose, touching, np.zeros((0, 4), np.float32)), target)
+    log.save(tmp_path / "log.npz")
+    robot = module.ReplayedRobot(module.Log.load(tmp_path / "log.npz"), spec)
+    assert not robot.is_connected
+    robot.connect()
+    for period, target in enumerate(log.target):
+        for name, kept in zip(module.READ, log.read[period], strict=True):
+            np.testing.assert_array_equal(getattr(robot.read(), name), kept)
+        np.testing.assert_array_equal(robot.look().p_wo, log.seen[period][0])
+        np.testing.assert_array_equal(robot.look().touching, log.seen[period][2])
+        robot.command(target + 1.0)
+    np.testing.assert_array_equal(robot.sent, np.stack(log.target) + 1.0)
+
+
+@pytest.mark.long
+def test_a_replayed_grasp_is_commanded_as_it_was_and_otherwise_where_the_log_is_otherwise(tmp_path):
+    module, path = example("replayed_robot"), tmp_path / "log.npz"
+    assert module.main(path) == (Phase.LIFTING, 0.0)
+    before = path.read_bytes()
+    assert module.main(path) == (Phase.LIFTING, 0.0) and path.read_bytes() == before
+    log = module.Log.load(path)
+    log.seen = [(p_wo, R_wo, np.zeros(3, bool)) for p_wo, R_wo, _ in log.seen]
+    log.read = [(q, qd, np.zeros_like(torque)) for q, qd, torque in log.read]
+    log.save(path)
+    phase, apart = module.main(path)
+    assert phase is Phase.CLOSING and apart > 0.01, "nothing is felt, so nothing is lifted"

@@ -24,7 +24,7 @@ from mjx_grasp.evaluation.judging import (
 from mjx_grasp.evaluation.tables import POLICIES, Column, Condition, Groups
 from mjx_grasp.records.table import Table
 
-BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0)
+BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 _OBJECT_BUDGETS_N = (3.0, 4.0)
 _BASELINES = ("squeeze", "grip")
 
@@ -118,7 +118,7 @@ def equal_force_table(groups: Groups) -> Table:
                     f"{success[i]:.1f}",
                     f"{force[i]:.1f}",
                     *gains,
-                    " / ".join(f"{peak:.0f}" for peak in _peaks(column)),
+                    "{:.1f} / {:.0f}".format(*_peaks(column)),
                 )
             )
     header = (

@@ -266,7 +266,7 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     assert against["policy, budget 3 N"] == ["+50.0", "50.0", "+25.0", "25.0"]
     assert against["policy, budget 1.5 N"] == ["+50.0", "75.0", "+37.5", "62.5"]
     assert against["grip 2.5 N, μ₀ 0.4"] == ["+25.0", "50.0", "", ""]
-    assert lines["policy, budget 3 N"][-1] == "3 / 7"
+    assert lines["policy, budget 3 N"][-1] == "3.0 / 7"
 
     budgets = {line[1]: line[2:] for line in budget_table(groups).rows}
     # 1.5 N, 2 N, 3 N …

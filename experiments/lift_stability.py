@@ -27,11 +27,11 @@ from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.run import outcome_letters
 from mjx_grasp.evaluation.trials import Trials, paired_draws, watch_trials, zero_controller
-from mjx_grasp.geometry import so3
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, states_of
 from mjx_grasp.learning.controller import deployed_task, load_controller
 from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.objects.momentum import net_wrench
 from mjx_grasp.records.atomic import check_writable, replacing, write_json
 from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -104,12 +104,8 @@ def seen(state: ClosingState) -> tuple[Any, ...]:
 def curves_of(seen: tuple[Any, ...], obj: ObjectModel, dt: float) -> Curves:
     """What is left of the wrench is what the object's momentum does."""
     rise, forces, quat, vel = seen
-    turn = np.asarray(so3.quat_to_mat(jnp.asarray(quat)))
-    spin, lever = np.einsum("tnij,tnj->tni", turn, vel[..., 3:]), turn @ obj.com
-    momentum = obj.mass * (vel[..., :3] + np.cross(spin, lever))
-    angular = np.einsum("tnij,jk,tnk->tni", turn, obj.inertia, vel[..., 3:])
-    left = (np.gradient(p, dt, axis=0) for p in (momentum, angular))
-    return Curves(rise, forces, *(np.linalg.norm(change, axis=-1) for change in left))
+    left = net_wrench(obj, quat, vel, dt)
+    return Curves(rise, forces, *(np.linalg.norm(part, axis=-1) for part in left))
 
 
 def since_risen(curves: Curves, risen: float, dt: float) -> Float[np.ndarray, "t n"]:

@@ -19,7 +19,7 @@ from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.demo.page import Shown, demo_page
-from mjx_grasp.viz.demo.plots import Curves, Stage, forces_up_to
+from mjx_grasp.viz.demo.plots import Curves, Stage, forces_up_to, wrench_up_to
 from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
 from mjx_grasp.viz.heatmap import Subject
 
@@ -54,7 +54,8 @@ def shown(success):
     t = np.arange(1, 61) * 0.01
     flags = np.zeros((60, 3), bool)
     flags[30:50, 0] = True
-    curves = Curves(t, np.full((60, 3), 0.01), flags, flags, flags * 2.0, flags * 3.0, 0.2 * t)
+    tips, wrench = np.full((60, 3), 0.01), (0.1 * t, 0.01 * t)
+    curves = Curves(t, tips, flags, flags, flags * 2.0, flags * 3.0, 0.2 * t, *wrench)
     box = handmade.box().mesh
     subject = Subject(
         np.asarray(box.vertices), np.asarray(box.faces), np.asarray(box.vertex_normals),
@@ -183,8 +184,11 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
 def test_the_axis_of_forces_shows_the_estimated_ones_too_but_for_spikes():
     still = np.zeros((400, 3))
     flags = still > 0
-    seen = Curves(np.arange(400.0), still, flags, flags, felt=still, force=still, rise=still[:, 0])
+    none = still[:, 0]
+    seen = Curves(np.arange(400.0), still, flags, flags, still, still, none, none, none)
     assert forces_up_to(seen) == pytest.approx(1.15 * 2.0)
+    assert wrench_up_to(seen) == pytest.approx(1.4)
+    assert wrench_up_to(seen._replace(net_moment=none + 0.05)) == pytest.approx(1.4 * 5.0)
     thumb = np.tile([10.0, 0.0, 0.0], (400, 1))
     assert forces_up_to(seen._replace(felt=thumb)) == pytest.approx(11.5)
     assert forces_up_to(seen._replace(force=thumb)) == pytest.approx(11.5)

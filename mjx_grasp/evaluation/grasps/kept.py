@@ -23,6 +23,8 @@ class Trace(NamedTuple):
     qpos: Float[Array, "t w nq"]
     rise: Float[Array, "t w"]
     """of the object origin since the start [m]"""
+    object_vel: Float[Array, "t w 6"]
+    """see `Truth.object_vel`"""
     tip_error: Float[Array, "t w 3"]
     """see `GraspTick.tip_error` [m]"""
     contacts: Float[Array, "t w 3 3"]

@@ -282,6 +282,7 @@ def _judged(
         phase=after.grasp.phase,
         qpos=after.physics.qpos,
         rise=after.truth.object_pos[:, 2] - base,
+        object_vel=after.truth.object_vel,
         tip_error=sent.done.tip_error,
         contacts=sent.done.contacts.position,
         touching=after.truth.tip_found,

@@ -1,4 +1,4 @@
-"""What happened in a grasp over time: errors, contacts, forces, rise, with its stages behind."""
+"""What happened in a grasp over time: errors, contacts, forces, rise, wrench; its stages behind."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ STAGES = {
 }
 """Colours behind the curves."""
 _LIFTED_MM = 100.0
+_CM = 100.0
+"""In a metre: with such levers moments are about as large as forces."""
 
 
 class Curves(NamedTuple):
@@ -40,6 +42,10 @@ class Curves(NamedTuple):
     """by the simulator [N]"""
     rise: Float[np.ndarray, " t"]
     """of the object [m]"""
+    net_force: Float[np.ndarray, " t"]
+    """of contacts and weight together, on the object [N]"""
+    net_moment: Float[np.ndarray, " t"]
+    """the same about its centre of mass [N m]"""
 
 
 class Stage(NamedTuple):
@@ -54,9 +60,9 @@ class Stage(NamedTuple):
 
 def grasp_plot(curves: Curves, stages: list[Stage]) -> bytes:
     """All curves above each other, as PNG."""
-    figure = new_figure(6.4, 8.6)
-    errors, contacts, forces, rise = figure.subplots(
-        4, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1.5, 3, 2.2)}
+    figure = new_figure(6.4, 10.4)
+    errors, contacts, forces, rise, wrench = figure.subplots(
+        5, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1.5, 3, 2.2, 2.2)}
     )
     t = curves.time
     for k, (name, colour) in enumerate(FINGERS):
@@ -73,14 +79,20 @@ def grasp_plot(curves: Curves, stages: list[Stage]) -> bytes:
     forces.set_ylim(0, forces_up_to(curves))
     rise.plot(t, 1e3 * curves.rise, color="#1f2630", linewidth=1.8)
     rise.axhline(_LIFTED_MM, color=GREY, linewidth=0.8, linestyle="--")
-    rise.set_xlabel("time [s]", fontsize=9, color=GREY)
+    wrench.plot(t, curves.net_force, color="#1f2630", linewidth=1.4, label="force [N]")
+    moment = _CM * curves.net_moment
+    wrench.plot(t, moment, color="#8a5fbf", linewidth=1.4, label="moment [N cm]")
+    wrench.set_ylim(0, wrench_up_to(curves))
+    wrench.legend(frameon=False, fontsize=9, loc="upper right", ncols=2)
+    wrench.set_xlabel("time [s]", fontsize=9, color=GREY)
     titles = (
         "tips to their targets, then pads to their contacts [mm]",
         "contact: touch (upper bar) and momentum observer (lower)",
         "force: estimated from joint torques, and the simulator's (thin) [N]",
         "rise of the object, and what counts as lifted [mm]",
+        "wrench that contacts and weight leave: none while the object hangs still",
     )
-    for ax, title in zip((errors, contacts, forces, rise), titles, strict=True):
+    for ax, title in zip((errors, contacts, forces, rise, wrench), titles, strict=True):
         style(ax)
         ax.set_title(title, loc="left", fontsize=10, color=GREY)
         ax.set_xlim(t[0], t[-1])
@@ -93,6 +105,12 @@ def forces_up_to(curves: Curves) -> float:
     """Top of the axis of forces, above the simulator's and the estimated but for spikes [N]."""
     either = np.stack([curves.force, curves.felt])
     return 1.15 * max(2.0, float(np.nanpercentile(either, 99.5, axis=1).max()))
+
+
+def wrench_up_to(curves: Curves) -> float:
+    """Top of the axis of the wrench: above it but for impacts, and with room for the legend."""
+    either = np.stack([curves.net_force, _CM * curves.net_moment])
+    return 1.4 * max(1.0, float(np.nanpercentile(either, 99.5, axis=1).max()))
 
 
 def stage_plot(stages: list[Stage]) -> bytes:

@@ -32,6 +32,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.objects.momentum import net_wrench
 from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.pressing import budget_for
@@ -151,7 +152,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
                 title=_title(obj, steered, scenario.description if name != NOMINAL else None),
                 success=row.outcome == "success",
                 subject=_subject(obj, steered, contacts),
-                curves=_curves(trace, grasper.dt),
+                curves=_curves(trace, obj, scene, scenario.mass_scale, grasper.dt),
                 stages=stages,
                 video=None if problem_of_film else config.out / "grasp.mp4",
                 video_problem=problem_of_film,
@@ -271,8 +272,10 @@ def _subject(obj: ObjectModel, steered: Steered, contacts: Float[np.ndarray, "3 
     )
 
 
-def _curves(trace: Trace, dt: float) -> Curves:
+def _curves(trace: Trace, obj: ObjectModel, scene: Scene, mass_scale: float, dt: float) -> Curves:
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], trace)
+    quat = one.qpos[:, scene.addresses.object_qpos[3:]]
+    force, moment = net_wrench(obj, quat, one.object_vel, dt)
     time_s = dt * (1 + np.arange(len(one.phase)))
     closing = (one.phase >= Phase.CLOSING)[:, None]
     return Curves(
@@ -283,6 +286,8 @@ def _curves(trace: Trace, dt: float) -> Curves:
         felt=np.where(closing, one.felt, 0.0),
         force=one.force,
         rise=one.rise,
+        net_force=mass_scale * np.linalg.norm(force, axis=-1),
+        net_moment=mass_scale * np.linalg.norm(moment, axis=-1),
     )
 
 

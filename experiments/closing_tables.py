@@ -465,13 +465,14 @@ def shipped_handoffs(folder: Path) -> str:
                 for k, made in enumerate(steps, start=1)
             ),
         ]
-    if (d := read(folder / "handoffs_reached.json")) is not None:
-        told = ("name", "kind", "tip_error_mm")
-        reports = [
-            ObjectReport(**{field: row[field] for field in told})
-            for row in d["objects"]
-            if row["name"] in paper.OBJECTS
-        ]
-        table = tip_error_table(reports)
-        parts += [f"{table.title}:", markdown(table)]
+    for name, gate in (("reached", ""), ("paper_gate", "; by the publication's gate")):
+        if (d := read(folder / f"handoffs_{name}.json")) is not None:
+            told = ("name", "kind", "tip_error_mm")
+            reports = [
+                ObjectReport(**{field: row[field] for field in told})
+                for row in d["objects"]
+                if row["name"] in paper.OBJECTS
+            ]
+            table = tip_error_table(reports)
+            parts += [f"{table.title}{gate}:", markdown(table)]
     return "\n\n".join(parts) if parts else NOTHING

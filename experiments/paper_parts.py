@@ -158,6 +158,9 @@ PARTS = (
             "-m mjx_grasp.handoffs --kind reached --objects train held_out --objects-dir SCANS "
             "--per-object 128 --max-rounds 5 --processes SHARERS "
             "--out experiments/results/handoffs_reached.npz",
+            "-m mjx_grasp.handoffs --kind reached --gate paper --objects eight --objects-dir SCANS "
+            "--per-object 64 --max-rounds 3 --processes SHARERS "
+            "--out experiments/results/handoffs_paper_gate.npz",
         ),
         not_quick="start states are shipped, and `objects` makes some of all objects",
     ),

@@ -7,6 +7,7 @@ import handmade
 import mujoco
 import numpy as np
 import pytest
+from browser import browsing
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
@@ -195,3 +196,14 @@ def test_the_axis_of_forces_shows_the_estimated_ones_too_but_for_spikes():
     spike = thumb.copy()
     spike[200] = 100.0
     assert forces_up_to(seen._replace(felt=spike)) == pytest.approx(11.5)
+
+
+def test_the_page_has_room_on_a_phone(tmp_path):
+    """Nothing is wider than the screen, and pictures are as wide as the text."""
+    page = tmp_path / "index.html"
+    page.write_text(demo_page(shown(True)), encoding="utf-8")
+    with browsing(page.as_uri(), {"width": 390, "height": 844}) as opened:
+        width = opened.evaluate("document.documentElement.scrollWidth")
+        pictures = opened.evaluate("[...document.images].map(i => [i.naturalWidth, i.width])")
+    assert width == 390
+    assert pictures and all(real > 0 and 300 < seen <= 390 for real, seen in pictures)

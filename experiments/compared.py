@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -25,6 +23,7 @@ from mjx_grasp.evaluation.trials import (
     Trials,
     by_object,
     force_apart,
+    joined_draws,
     paired_draws,
     run_trials,
     zero_controller,
@@ -263,8 +262,8 @@ class Runner:
         for _, noise in conditions:
             noise = replace(noise, budget_n=(who.force, who.force))
             draws.append(paired_draws(starts, index, self._episodes, noise, self._seed, force))
-        draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
-        trials = run_trials(task, who.act or zero_controller(task), draw, self._worlds)
+        act = who.act or zero_controller(task)
+        trials = run_trials(task, act, joined_draws(draws), self._worlds)
         each = by_object(trials, len(conditions))
         return [rows_of(own, at, names) for (at, _), own in zip(conditions, each, strict=True)]
 

@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Shaped
 from rich.console import Console
@@ -25,6 +23,7 @@ from mjx_grasp.evaluation.trials import (
     by_object,
     force_apart,
     incidents,
+    joined_draws,
     paired_draws,
     room_for,
     run_trials,
@@ -154,8 +153,7 @@ def evaluate_beside(
             for k, name in beside:
                 drawn = episodes, configs[k].noise, configs[k].seed, forces[k]
                 draws.append(paired_draws(world.starts, [world.scene.object_index(name)], *drawn))
-            draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
-            ran = run_trials(run, controller, draw, worlds)
+            ran = run_trials(run, controller, joined_draws(draws), worlds)
             for (k, name), own in zip(beside, by_object(ran, len(beside)), strict=True):
                 found[k].trials[name] = own
                 found[k].rows.append(summarise(name, own, configs[k], reached, tasks[k]))

@@ -107,8 +107,14 @@ def paired_draws(
         InputError: The table has no start of an object.
     """
     draws = [_draws_of(starts, index, episodes, noise, seed) for index in objects]
-    draw: StartDraw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    draw = joined_draws(draws)
     return draw if force is None else draw._replace(force=jnp.full(len(draw.row), force))
+
+
+def joined_draws(draws: Sequence[StartDraw]) -> StartDraw:
+    """Starts one after the other."""
+    together: StartDraw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
+    return together
 
 
 def _draws_of(

@@ -29,9 +29,9 @@ def run_command(command: Callable[[], None], keeps: bool = True, alone: bool = F
     Args:
         command: What it does.
         keeps: Whether the next one need not compile again what it compiles; a benchmark does.
-        alone: Whether it is about one robot, which is planned for on the CPU in milliseconds, while
-            planning is compiled for minutes for a GPU: this is left alone then, unless the
-            environment's own `JAX_PLATFORMS` names it.
+        alone: Whether it is about one robot, which is planned for on the CPU in a fraction of a
+            second, while planning is compiled for minutes for a GPU: this is left alone then,
+            unless the environment's own `JAX_PLATFORMS` names it.
     """
     if keeps:
         keep_compiled()

@@ -68,6 +68,8 @@ class AblationConfig(CommandSettings):
     """handoff set; the shipped one by default"""
     budgets: tuple[Positive, ...] = (1.0, 2.0, 3.0, 4.0)
     """forces that the policies may take [N]"""
+    as_trained: bool = False
+    """judge each in one more condition: friction, robot and errors as its own training drew them"""
     episodes: Count = 32
     """per object, budget and condition [-]"""
     seed: Seed = 0
@@ -89,12 +91,14 @@ def changes(config: TrainConfig) -> dict[str, Any]:
     return {k: v for k, v in mine if k not in _NOT_COMPARED and preset.get(k) != v}
 
 
-def evaluated(world: World, policy_file: Path, config: AblationConfig) -> list[dict[str, Any]]:
+def evaluated(
+    world: World, policy_file: Path, conditions: Mapping[str, StartNoise], config: AblationConfig
+) -> list[dict[str, Any]]:
     """One row per condition and budget; all trials in one compiled episode."""
     policy = load_policy(policy_file)
     noises = [
         (name, budget, replace(noise, budget_n=(budget, budget)))
-        for name, noise in CONDITIONS.items()
+        for name, noise in conditions.items()
         for budget in config.budgets
     ]
     indices = np.unique(np.asarray(world.starts.object_index)).tolist()
@@ -146,13 +150,14 @@ def main(config: AblationConfig) -> None:
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("runs", total=len(settings))
         for folder, trained in settings.items():
+            own = {"as trained": trained.noise} if config.as_trained else {}
             rows[folder.name] = {
                 "run": folder.name,
                 "changes": changes(trained),
                 "seed": trained.seed,
                 "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
                 "trained": read_json(folder / "provenance.json", "the provenance of a run"),
-                "evaluations": evaluated(world, folder / "policy.npz", config),
+                "evaluations": evaluated(world, folder / "policy.npz", CONDITIONS | own, config),
             }
             record = {
                 "schema": SCHEMA,

@@ -46,6 +46,7 @@ class BraxTask(Env):
         self, task: Task, worlds: int, stagger: bool = True, devices: Devices = ONE_DEVICE
     ):
         self.task, self.worlds, self._stagger, self.devices = task, worlds, stagger, devices
+        self._fresh = jax.jit(devices.each(lambda key, _: ((), self.reset(key))))
 
     @property
     def observation_size(self) -> dict[str, tuple[int, ...]]:
@@ -65,6 +66,10 @@ class BraxTask(Env):
     def backend(self) -> str:
         """What runs the worlds."""
         return type(self.task).__name__
+
+    def fresh(self, key: Array) -> State:
+        """Fresh worlds on every device, compiled once."""
+        return self._fresh(key, ())[1]
 
     def reset(self, rng: Array) -> State:
         """Fresh worlds; with `stagger` their first episodes end at random ticks."""

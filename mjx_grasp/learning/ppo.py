@@ -87,7 +87,7 @@ def init_state(config: PPOConfig, env: BraxTask, seed: int) -> TrainState:
         policy=jax.tree.map(jnp.copy, params.policy),  # of its own: both may be donated
         optimizer=make_optimizer(config).init(params),
         normalizer=running_statistics.init_state(shapes),
-        env=jax.jit(env.devices.each(lambda key, _: ((), env.reset(key))))(env_key, ())[1],
+        env=env.fresh(env_key),
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )

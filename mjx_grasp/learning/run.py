@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from rich.progress import (
     BarColumn,
@@ -67,6 +69,15 @@ class LoopConfig(Settings):
     """Weights & Biases project; needs the extra `wandb`."""
 
 
+class Member(NamedTuple):
+    """One of the trainings that are trained together."""
+
+    folder: Path
+    state: TrainState
+    config: dict[str, Any]
+    """of the run, kept with its checkpoints"""
+
+
 def train_loop(
     folder: Path,
     state: TrainState,
@@ -75,54 +86,78 @@ def train_loop(
     loop: LoopConfig,
     run_config: dict[str, Any],
 ) -> TrainState:
-    """Runs the iterations that are left and returns the final state.
+    """Runs the iterations that are left of one training; see `train_together`."""
+    (state,) = train_together([Member(folder, state, run_config)], env, ppo, loop)
+    return state
 
-    Of several processes, which all run it, the first one writes and talks.
+
+def train_together(
+    members: Sequence[Member], env: BraxTask, ppo: PPOConfig, loop: LoopConfig
+) -> list[TrainState]:
+    """Runs the iterations that are left and returns the final states.
+
+    Trainings that differ in their states alone go on in step: each learns from its own worlds,
+    and the worlds of all are stepped together. Of several processes, which all run it, the first
+    one writes and talks.
 
     Raises:
-        TrainingDiverged: A NaN in loss or parameters. The state before it was checkpointed, the
-            one after it is in `diverged.npz`.
+        TrainingDiverged: A NaN in a training's loss or parameters. The state before it was
+            checkpointed, the one after it is in `diverged.npz`.
         KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
-    devices = env.devices
-    given = 0 if devices.donates else ()
-    iteration = jax.jit(make_iteration(ppo, env), donate_argnums=given)
-    start = int(state.iteration)
+    devices, count = env.devices, len(members)
+    step, given = make_iteration(ppo, env), 0 if devices.donates else ()
+    iteration = jax.jit(step if count == 1 else jax.vmap(step), donate_argnums=given)
+    start = int(members[0].state.iteration)
     columns = (*COLUMNS, *env.pace_names, *reward_columns(env.task.reward_names).values())
-    log: MetricLog | NoLog = (
-        MetricLog(folder, columns, start, loop.wandb_project, run_config)
+    logs: list[MetricLog | NoLog] = [
+        MetricLog(m.folder, columns, start, loop.wandb_project, m.config)
         if devices.writes
         else NoLog()
-    )
+        for m in members
+    ]
     saved = time.monotonic()
-    began = saved - log.number_of_last("seconds")
+    began = saved - logs[0].number_of_last("seconds")
     recent: dict[str, deque[float]] = {
-        n: deque(maxlen=20) for n in ("return", "success", "force_n")
+        n: deque(maxlen=20 * count) for n in ("return", "success", "force_n")
     }
     counted = {"broken_worlds": 0.0, "overflows": 0.0}
-    with InterruptGuard() as interrupt, closing(log), _progress(devices.writes) as progress:
-        task = progress.add_task("training (compiling)", total=ppo.iterations, completed=start)
+
+    def own(tree: Any, k: int) -> Any:
+        """What belongs to one training: leaves of several have one more axis in front."""
+        return tree if count == 1 else jax.tree.map(lambda leaf: leaf[k], tree)
+
+    state = members[0].state
+    if count > 1:
+        state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(m.state for m in members))
+    with InterruptGuard() as interrupt, ExitStack() as closed, _progress(devices.writes) as shown:
+        for log in logs:
+            closed.enter_context(closing(log))
+        task = shown.add_task("training (compiling)", total=ppo.iterations, completed=start)
         for i in range(start, ppo.iterations):
             tick = time.monotonic()
             state, metrics = iteration(state)
-            row = {name: float(x) for name, x in jax.device_get(metrics).items()}
+            found, learnt = jax.device_get((metrics, (state.params, state.normalizer)))
             now = time.monotonic()
-            _guard(folder, state, row, devices.writes)
-            row |= {
-                "iteration": i + 1,
-                "env_steps": (i + 1) * ppo.steps_per_iteration,
-                "seconds": now - began,
-                "steps_per_s": ppo.steps_per_iteration / (now - tick),
-            }
-            log.write(row)
-            for name, values in recent.items():
-                if row[name] == row[name]:
-                    values.append(row[name])
-            for name in counted:
-                counted[name] += row[name]
-            if row["broken_worlds"] and devices.writes:
-                _dump_incident(folder, state, env, i + 1)
-            progress.update(task, completed=i + 1, description=_describe(row, recent, counted))
+            for k, (member, log) in enumerate(zip(members, logs, strict=True)):
+                row = {name: float(x) for name, x in own(found, k).items()}
+                _guard(member.folder, i + 1, own(learnt, k), row, devices.writes)
+                row |= {
+                    "iteration": i + 1,
+                    "env_steps": (i + 1) * ppo.steps_per_iteration,
+                    "seconds": now - began,
+                    "steps_per_s": ppo.steps_per_iteration / (now - tick),
+                }
+                log.write(row)
+                for name, values in recent.items():
+                    if row[name] == row[name]:
+                        values.append(row[name])
+                for name in counted:
+                    counted[name] += row[name]
+                if row["broken_worlds"] and devices.writes:
+                    _dump_incident(member.folder, own(state, k), env, i + 1)
+            said = _describe(count * ppo.steps_per_iteration / (now - tick), recent, counted)
+            shown.update(task, completed=i + 1, description=said)
             due, stop = devices.agreed(
                 (i + 1) % loop.checkpoint_every == 0
                 if loop.checkpoint_every
@@ -130,11 +165,13 @@ def train_loop(
                 interrupt.requested,
             )
             if due or stop or i + 1 == ppo.iterations:
-                save_checkpoint(folder / "checkpoints", state, env, run_config)
+                for k, member in enumerate(members):
+                    folder = member.folder / "checkpoints"
+                    save_checkpoint(folder, own(state, k), env, member.config)
                 saved = time.monotonic()
             if stop:
                 raise KeyboardInterrupt(f"interrupted after iteration {i + 1}, which is kept")
-    return state
+    return [own(state, k) for k in range(count)]
 
 
 def _progress(shown: bool = True) -> Progress:
@@ -157,13 +194,13 @@ def _progress(shown: bool = True) -> Progress:
 
 
 def _describe(
-    row: dict[str, float], recent: dict[str, deque[float]], counted: dict[str, float]
+    steps_per_s: float, recent: dict[str, deque[float]], counted: dict[str, float]
 ) -> str:
     def mean(name: str, unit: float = 1.0, digits: int = 0) -> str:
         return f"{unit * np.mean(recent[name]):.{digits}f}" if recent[name] else "-"
 
     text = (
-        f"{row['steps_per_s']:,.0f} steps/s, return {mean('return')}, "
+        f"{steps_per_s:,.0f} steps/s, return {mean('return')}, "
         f"success {mean('success', 100)} %, {mean('force_n', digits=1)} N"
     )
     if counted["broken_worlds"]:
@@ -173,25 +210,30 @@ def _describe(
     return text
 
 
-def _guard(folder: Path, state: TrainState, row: dict[str, float], writes: bool) -> None:
+def _guard(folder: Path, iteration: int, learnt: Any, row: dict[str, float], writes: bool) -> None:
     """Stops a training whose numbers are no numbers, before they reach a checkpoint.
+
+    Args:
+        folder: Of the run.
+        iteration: How many are done.
+        learnt: Parameters and normaliser.
+        row: The iteration's figures.
+        writes: Whether this process writes files.
 
     Raises:
         TrainingDiverged: The loss or a parameter is not finite.
     """
-    leaves = jax.tree.leaves(state.params)
-    finite = np.isfinite(row["total_loss"]) and all(
-        np.isfinite(x).all() for x in map(np.asarray, leaves)
-    )
-    if finite:
+    params, normalizer = learnt
+    leaves = jax.tree.leaves(params)
+    if np.isfinite(row["total_loss"]) and all(np.isfinite(x).all() for x in leaves):
         return
     path = folder / "diverged.npz"
     if writes:
-        _save_arrays(path, {"params": state.params, "normalizer": state.normalizer})
+        _save_arrays(path, {"params": params, "normalizer": normalizer})
     kept = checkpoints(folder / "checkpoints")
     newest = kept[-1].name if kept else "none yet"
     raise TrainingDiverged(
-        f"{path}: the loss or a parameter is not finite at iteration {int(state.iteration)}; "
+        f"{path}: the loss or a parameter is not finite at iteration {iteration}; "
         f"the newest checkpoint is {newest}: begin a new run with a lower --ppo.learning-rate "
         "(a resumed one does what this one did)"
     )

@@ -2,7 +2,8 @@
 
 MJX's own step hands all of Warp's arrays, a few hundred, in and out of JAX at every physics step.
 Here they stay with Warp: what goes in and out is the worlds' state, and what is measured of them,
-once per control tick. On a GPU the tick's physics steps are one CUDA graph, captured once.
+once per control tick. On a GPU the tick's physics steps are one CUDA graph, captured once. Under
+`jax.vmap` the worlds of all copies are stepped together.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mujoco.mjx.third_party.mujoco_warp as mjw
 import numpy as np
@@ -71,9 +73,9 @@ class MjxPhysics(Physics):
         self.num_worlds = num_worlds
         self.buffers = _buffers(num_worlds, contacts_per_world, constraints_per_world)
         self._rows = finger_rows(scene)
-        self.on: dict[str, WarpWorlds] = {}
-        """Warp's own arrays on each of its devices, as the last tick left them"""
-        self._tick = _function(self)
+        self.on: dict[tuple[str, int], WarpWorlds] = {}
+        """Warp's own arrays by device and number of worlds, as the last tick left them"""
+        self._tick = _function(self, num_worlds)
         at = scene.addresses
         self._joints = scene.model.dof_jntid[at.robot_dof]
         body_mask = np.zeros((scene.model.nbody, 1), np.float32)
@@ -220,20 +222,50 @@ class WarpWorlds:
                 wp.copy(kept[step], getattr(self.data, name))
 
 
-def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
+def _function(physics: MjxPhysics, worlds: int) -> Callable[..., tuple[Array, ...]]:
     """A control tick as a function of JAX, from `_STATE` and `_FIELDS` to `_LAST` and `_EACH`.
+
+    Under `jax.vmap` it is one call for the worlds of all copies.
+    """
+    calls = _calls(physics, worlds)
+
+    @jax.custom_batching.custom_vmap
+    def tick(*given: Array) -> tuple[Array, ...]:
+        return tuple(calls(*given))
+
+    many: dict[int, Callable[..., tuple[Array, ...]]] = {}
+
+    @tick.def_vmap
+    def _(copies: int, batched: Any, *given: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
+        if copies not in many:
+            many[copies] = _function(physics, copies * worlds)
+        whole = (
+            x if is_batched else jnp.broadcast_to(x, (copies, *x.shape))
+            for x, is_batched in zip(given, batched, strict=True)
+        )
+        found = many[copies](*(x.reshape(-1, *x.shape[2:]) for x in whole))
+        last = [x.reshape(copies, worlds, *x.shape[1:]) for x in found[: len(_LAST)]]
+        each = [x.reshape(-1, copies, worlds, *x.shape[2:]) for x in found[len(_LAST) :]]
+        return (*last, *(jnp.moveaxis(x, 1, 0) for x in each)), (True,) * len(found)
+
+    return tick
+
+
+def _calls(physics: MjxPhysics, worlds: int) -> Callable[..., list[Array]]:
+    """The call of Warp for so many worlds.
 
     Each device that calls it has arrays of its own. Warp lets in one call at a time, so devices
     of JAX that are one to Warp, as those of a CPU are, may share them.
     """
     scene, substeps, on = physics.scene, physics.substeps, physics.on
+    copies = worlds // physics.num_worlds
+    buffers = physics.buffers | {"naconmax": copies * physics.buffers["naconmax"]}
 
     def tick(*arrays: wp.array) -> None:
-        device = str(arrays[0].device)
-        if device not in on:
-            made = WarpWorlds(scene, substeps, physics.num_worlds, physics.buffers)
-            on[device] = made.captured()
-        on[device].tick(*arrays)
+        at = str(arrays[0].device), worlds
+        if at not in on:
+            on[at] = WarpWorlds(scene, substeps, worlds, buffers).captured()
+        on[at].tick(*arrays)
 
     # Warp takes the arguments' types from the signature.
     with wp.ScopedDevice("cpu"):
@@ -248,8 +280,8 @@ def _function(physics: MjxPhysics) -> Callable[..., list[Array]]:
     tick.__annotations__ = types
     vars(tick)["__signature__"] = inspect.Signature(parameters)
     last = len(_LAST)
-    shapes = [(physics.num_worlds, *array.shape[1:]) for array in like.found[:last]]
-    shapes += [(substeps, physics.num_worlds, *array.shape[2:]) for array in like.found[last:]]
+    shapes = [(worlds, *array.shape[1:]) for array in like.found[:last]]
+    shapes += [(substeps, worlds, *array.shape[2:]) for array in like.found[last:]]
     return wp.jax_callable(
         tick,
         num_outputs=len(found),

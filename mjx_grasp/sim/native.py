@@ -85,7 +85,7 @@ class NativePhysics(Physics):
             for name, (shape, dtype) in self._readings.items()
         }
         given = state._replace(ctrl=ctrl), params, wrench, awake
-        out = jax.pure_callback(self._step_host, shapes, *given)
+        out = jax.pure_callback(self._step_host, shapes, *given, vmap_method="sequential")
         state = PhysicsState(out.pop("qpos"), out.pop("qvel"), out.pop("warmstart"), ctrl)
         residual = inverse_dynamics_residual(
             self._rows,

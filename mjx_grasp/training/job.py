@@ -18,14 +18,14 @@ from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.shipped import shipped_for, take_shipped
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
+from mjx_grasp.learning.checkpoint import checkpoints, newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import Devices, find_devices
 from mjx_grasp.learning.log import require_wandb
 from mjx_grasp.learning.memory import device_memory, worlds_that_fit
 from mjx_grasp.learning.policy import Policy, policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
-from mjx_grasp.learning.run import train_loop
+from mjx_grasp.learning.run import Member, train_together
 from mjx_grasp.learning.warm_start import begin_from
 from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
 from mjx_grasp.objects.meshes import find_scan
@@ -66,41 +66,130 @@ def run_training(
         InputError, FileError: A setting or file that cannot work; no folder is made then.
         KeyboardInterrupt: Ctrl-C; its message says how to continue, once there is a run.
     """
-    require_wandb(config.loop.wandb_project)
-    devices = find_devices(config.run_on, config.ppo.worlds, config.ppo.minibatches)
-    _check_shared_by_processes(config)
-    folder = _run_folder(config)
+    (folder,) = run_together([config], console, extra_terms, [command])
+    return folder
+
+
+def run_together(
+    configs: Sequence[TrainConfig],
+    console: Console,
+    extra_terms: tuple[RewardTerm, ...] = (),
+    commands: Sequence[str | None] | None = None,
+) -> list[Path]:
+    """Runs trainings that differ in their seed alone, in step, and returns their folders.
+
+    Each learns from worlds of its own, and the worlds of all are stepped together: where one has
+    too few to fill a GPU, several take hardly longer. Of those that are resumed all go on from the
+    newest checkpoint that all have, or begin anew.
+
+    Args:
+        configs: The settings; several have to name --handoffs.
+        console: For progress and tables.
+        extra_terms: Reward terms beside the task's own.
+        commands: What the files of each say they were made by; by default what started this
+            process.
+
+    Raises:
+        InputError, FileError: A setting or file that cannot work; no folder is made then.
+        KeyboardInterrupt: Ctrl-C; its message says how to continue, once there are runs.
+    """
+    first = configs[0]
+    require_wandb(first.loop.wandb_project)
+    devices = find_devices(first.run_on, first.ppo.worlds, first.ppo.minibatches)
+    _check_alike(configs, devices)
+    for config in configs:
+        _check_shared_by_processes(config)
+    folders = [_run_folder(config) for config in configs]
     console = console if devices.writes else Console(quiet=True)
-    resumed = newest_checkpoint(config.resume / "checkpoints") if config.resume else None
-    robot, start, stored = given_to(config)
-    _check_same_files(config)
-    _check_same_terms(config, extra_terms)
-    scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
-    config = replace(config, ppo=_fit_worlds(config, scene, devices), fit_memory=False)
-    world = None if stored is None else _build(scene, stored, config, console)
+    resumed = _to_resume(configs)
+    robot, start, stored = given_to(first)
+    for config in configs:
+        _check_same_files(config)
+        _check_same_terms(config, extra_terms)
+    scene = build_scene_of(first.objects, first.objects_dir, robot, first.scene, first.weight)
+    fitting = _fit_worlds(first, scene, devices, len(configs))
+    configs = [replace(config, ppo=fitting, fit_memory=False) for config in configs]
+    world = None if stored is None else _build(scene, stored, first, console)
     devices.wait("every process has looked at the folder")
-    if devices.writes and config.resume is None:
-        _open_run(config, folder, stored, command, extra_terms)
-    elif devices.writes:
-        _note_resumed(folder, provenance(config.seed, command))
+    for config, folder, command in zip(
+        configs, folders, commands or [None] * len(configs), strict=True
+    ):
+        if devices.writes and config.resume is None:
+            _open_run(config, folder, stored, command, extra_terms)
+        elif devices.writes:
+            _note_resumed(folder, provenance(config.seed, command))
     try:
         if stored is None or world is None:
             try:
-                stored = _made_handoffs(config, robot, folder, console)
+                stored = _made_handoffs(configs[0], robot, folders[0], console)
             except MjxGraspError:
-                if config.resume is None:
-                    _discard_run(folder)
+                if first.resume is None:
+                    _discard_run(folders[0])
                 raise
-            world = _build(scene, stored, config, console)
-        begin = resumed or start
-        _run(folder, begin, config, devices, world, stored, console, extra_terms, command)
+            world = _build(scene, stored, first, console)
+        runs = [
+            Opened(folder, config, begin or start, command)
+            for folder, config, begin, command in zip(
+                folders, configs, resumed, commands or [None] * len(configs), strict=True
+            )
+        ]
+        _run(runs, devices, world, stored, console, extra_terms)
     except KeyboardInterrupt as interrupt:
         said = str(interrupt) or "interrupted"
-        again = f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}"
+        again = "; ".join(
+            f"python -m mjx_grasp.train --resume {shlex.quote(str(folder))}" for folder in folders
+        )
         if extra_terms:
-            again = f"the script that gave the extra terms, with resume={str(folder)!r}"
+            again = f"the script that gave the extra terms, with resume={str(folders[0])!r}"
         raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
-    return folder
+    return folders
+
+
+class Opened(NamedTuple):
+    """A training whose folder is there."""
+
+    folder: Path
+    config: TrainConfig
+    begin: Path | Policy | None
+    """what it begins with: a checkpoint, a policy or nothing"""
+    command: str | None
+
+
+def _check_alike(configs: Sequence[TrainConfig], devices: Devices) -> None:
+    """Refuses several trainings that cannot go on in step.
+
+    Raises:
+        InputError: They differ in more than their seed and folder, make their start states
+            themselves, or would be on several devices.
+    """
+    first = configs[0]
+    if len(configs) == 1:
+        return
+    for config in configs:
+        if replace(config, seed=first.seed, out=first.out, resume=first.resume) != first:
+            raise InputError("configs", "trainings of other settings", "one setting, several seeds")
+    if first.handoffs is None:
+        raise InputError("--handoffs", "nothing", "start states that several trainings share")
+    if devices.count > 1:
+        raise InputError("--devices", devices.count, "one for trainings that go on in step")
+
+
+def _to_resume(configs: Sequence[TrainConfig]) -> list[Path | None]:
+    """The checkpoint from which each goes on; of several all from the same iteration."""
+    found = [
+        newest_checkpoint(config.resume / "checkpoints") if config.resume else None
+        for config in configs
+    ]
+    if len({None if path is None else path.name for path in found}) == 1:
+        return found
+    kept = [
+        {path.name: path for path in checkpoints(config.resume / "checkpoints")}
+        if config.resume
+        else {}
+        for config in configs
+    ]
+    common = set.intersection(*(set(paths) for paths in kept))
+    return [paths[max(common)] if common else None for paths in kept]
 
 
 class Given(NamedTuple):
@@ -132,20 +221,15 @@ def given_to(config: TrainConfig) -> Given:
 
 
 def _run(
-    folder: Path,
-    begin: Path | Policy | None,
-    config: TrainConfig,
+    runs: Sequence[Opened],
     devices: Devices,
     world: World,
     handoffs: HandoffSet,
     console: Console,
     extra_terms: tuple[RewardTerm, ...],
-    command: str | None,
 ) -> None:
-    """Trains in an opened run, keeps the policy and evaluates it.
-
-    It begins with a checkpoint, a policy or nothing.
-    """
+    """Trains in opened runs, keeps the policies and evaluates them."""
+    config = runs[0].config
     ppo = config.ppo
     names, _ = eligible(world.scene.object_names, handoffs)
     worlds = ppo.worlds // devices.count
@@ -160,25 +244,31 @@ def _run(
         )
     env = BraxTask(task, worlds, ppo.stagger, devices)
     spread = f" on {devices.count} devices" if devices.count > 1 else ""
+    times = "" if len(runs) == 1 else f"{len(runs)} trainings of "
     console.print(
-        f"preset {config.preset}: {len(names)} object(s), {ppo.worlds} worlds in {config.engine}"
-        f"{spread}, {ppo.iterations} iterations of {ppo.steps_per_iteration:,} steps → {folder}"
+        f"preset {config.preset}: {len(names)} object(s), {times}{ppo.worlds} worlds in "
+        f"{config.engine}{spread}, {ppo.iterations} iterations of {ppo.steps_per_iteration:,} "
+        f"steps → {', '.join(str(run.folder) for run in runs)}"
     )
-    state = init_state(ppo, env, config.seed)
-    if isinstance(begin, Path):
-        state, goes_on = restore_checkpoint(begin, state, env)
-        fresh = "" if goes_on else ", with fresh worlds: those of its version were others"
-        console.print(f"resumed from {begin.name}{fresh}")
-    elif begin is not None:
-        console.print(f"begins with a policy: {config.start_from}")
-        state = begin_from(begin, ppo, env, state)
-    state = train_loop(folder, state, env, ppo, config.loop, to_record(config))
+    members = []
+    for run in runs:
+        state = init_state(ppo, env, run.config.seed)
+        if isinstance(run.begin, Path):
+            state, goes_on = restore_checkpoint(run.begin, state, env)
+            fresh = "" if goes_on else ", with fresh worlds: those of its version were others"
+            console.print(f"resumed from {run.begin.name}{fresh}")
+        elif run.begin is not None:
+            console.print(f"begins with a policy: {config.start_from}")
+            state = begin_from(run.begin, ppo, env, state)
+        members.append(Member(run.folder, state, to_record(run.config)))
+    states = train_together(members, env, ppo, config.loop)
     if not devices.writes:
         return
-    _save_policy(folder, state, config, names, world.scene.robot.identity)
-    if config.evaluation_episodes:
-        _, _, held_out = with_states(names, handoffs, "evaluation")
-        evaluate_run(folder, config, world, held_out, console, command)
+    for run, state in zip(runs, states, strict=True):
+        _save_policy(run.folder, state, run.config, names, world.scene.robot.identity)
+        if config.evaluation_episodes:
+            _, _, held_out = with_states(names, handoffs, "evaluation")
+            evaluate_run(run.folder, run.config, world, held_out, console, run.command)
 
 
 def _check_same_files(config: TrainConfig) -> None:
@@ -355,10 +445,13 @@ def _check_shared_by_processes(config: TrainConfig) -> None:
             raise InputError(flag, "nothing", "a path that all processes see")
 
 
-def _fit_worlds(config: TrainConfig, scene: Scene, devices: Devices) -> PPOConfig:
+def _fit_worlds(
+    config: TrainConfig, scene: Scene, devices: Devices, trainings: int = 1
+) -> PPOConfig:
     if not config.fit_memory:
         return config.ppo
-    worlds = worlds_that_fit(scene, config.ppo, device_memory(), devices.count)
+    room = device_memory() // trainings
+    worlds = worlds_that_fit(scene, config.ppo, room, devices.count)
     return replace(config.ppo, worlds=worlds)
 
 

@@ -35,7 +35,7 @@ from mjx_grasp.records.spread import TRIES
 from mjx_grasp.records.strict_yaml import load_yaml
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
-from mjx_grasp.training.job import given_to, run_training
+from mjx_grasp.training.job import given_to, run_together
 
 SCHEMA = "mjx_grasp.tune/1"
 _COMMAND = ("python", "-m", "mjx_grasp.train")
@@ -59,6 +59,9 @@ class TuneConfig(CommandSettings):
     """of each training, 0.5 for two on one; None: one where there is a GPU, none elsewhere [-]"""
     cpus: Positive = 1.0
     """cores of each training [-]"""
+    together: bool = False
+    """whether the seeds of a setting are one process, which takes one share and steps the worlds of
+    all together: several times as fast where those of one do not fill a GPU; needs --handoffs"""
     address: str | None = None
     """of a Ray cluster, or `auto` for the one that this machine belongs to; None: this machine
     alone. The plan's paths and --out have to be the same on all its machines"""
@@ -211,9 +214,9 @@ def _before(table: Path) -> float:
     return read_json(table, "a table of trainings").get("took_s", 0.0)
 
 
-def finished(folder: Path) -> bool:
+def finished(folder: Path | str) -> bool:
     """Whether a training has come to its end, its evaluation included."""
-    return (folder / "finished.json").exists()
+    return (Path(folder) / "finished.json").exists()
 
 
 def _check_begun(folder: Path, run: Run) -> None:
@@ -307,7 +310,7 @@ def run_all(
     config: TuneConfig,
     runs: Sequence[Run],
     console: Console,
-    work: Callable[[str, list[str], str], None] | None = None,
+    work: Callable[[list[str], list[list[str]], str], None] | None = None,
 ) -> dict[str, str]:
     """Runs them as Ray tasks; what failed, and why.
 
@@ -315,7 +318,8 @@ def run_all(
         config: What each may take, and where they run.
         runs: Those that are not finished.
         console: Where progress is shown.
-        work: What a task does, given folder, flags and working directory; by default `train`.
+        work: What a task does, given folders, the flags of each, and working directory; by default
+            `train`.
     """
     if not runs:
         return {}
@@ -323,41 +327,68 @@ def run_all(
 
     with _tasks(config) as task:
         trained, out = task(work or train), config.out.resolve()
-        begun = {
-            trained.remote(str(out / run.name), list(run.flags), os.getcwd()): run.name
-            for run in runs
-        }
+        begun = {}
+        for group in _groups(config, runs):
+            folders, flags = [str(out / run.name) for run in group], [list(r.flags) for r in group]
+            begun[trained.remote(folders, flags, os.getcwd())] = group
         failed: dict[str, str] = {}
         with counting_progress(console) as bar:
-            job = bar.add_task("trainings", total=len(begun))
+            job = bar.add_task("trainings", total=len(runs))
             left = list(begun)
             while left:
                 (done, *_), left = ray.wait(left, num_returns=1)
                 try:
                     ray.get(done)
                 except ray.exceptions.RayError as error:
-                    failed[begun[done]] = str(error).strip().splitlines()[-1]
-                bar.update(job, advance=1)
+                    why = str(error).strip().splitlines()[-1]
+                    failed |= dict.fromkeys((run.name for run in begun[done]), why)
+                bar.update(job, advance=len(begun[done]))
         return failed
 
 
-def train(folder: str, flags: list[str], cwd: str) -> None:
-    """One training, in a process of its own: from the start, or from where it was cut short."""
+def _groups(config: TuneConfig, runs: Sequence[Run]) -> list[list[Run]]:
+    """The trainings of each process."""
+    if not config.together:
+        return [[run] for run in runs]
+    alike: dict[tuple[str, str], list[Run]] = {}
+    for run in runs:
+        alike.setdefault((run.setting, run.objects), []).append(run)
+    return list(alike.values())
+
+
+def train(folders: list[str], flags: list[list[str]], cwd: str) -> None:
+    """Trainings in a process of their own: from the start, or from where they were cut short."""
     os.chdir(cwd)
-    at = Path(folder)
-    if finished(at):
+    wanted = [(Path(at), of) for at, of in zip(folders, flags, strict=True) if not finished(at)]
+    if not wanted:
         return
-    if at.exists() and not (at / "provenance.json").exists():
-        opened = ("config.json", "handoffs", ".")
-        if others := sorted(p.name for p in at.iterdir() if not p.name.startswith(opened)):
-            raise FileError(at, f"{others[0]} and no training", "a training, or no such folder")
-        shutil.rmtree(at)  # cut short while it was opened
-    argv = ["--resume", folder] if at.exists() else [*flags, "--out", folder]
-    shown = [os.path.relpath(word) if word == folder else word for word in argv]
-    command = shlex.join([*_COMMAND, *shown])
+    if not all((at / "provenance.json").exists() for at, _ in wanted):
+        for at, _ in wanted:
+            _clear(at)  # cut short while they were opened
+    words = [["--resume", str(at)] if at.exists() else [*of, "--out", str(at)] for at, of in wanted]
+    shown = [
+        [os.path.relpath(word) if word == str(at) else word for word in of]
+        for of, (at, _) in zip(words, wanted, strict=True)
+    ]
+    commands = [shlex.join([*_COMMAND, *of]) for of in shown]
     with open(os.devnull, "w") as nowhere:
-        run_training(parse(argv), Console(file=nowhere), command=command)
-    write_json(at / "finished.json", {"flags": flags})
+        run_together([parse(of) for of in words], Console(file=nowhere), commands=commands)
+    for at, of in wanted:
+        write_json(at / "finished.json", {"flags": of})
+
+
+def _clear(folder: Path) -> None:
+    """Removes what was left of a training that had not begun.
+
+    Raises:
+        FileError: There is something else in its folder.
+    """
+    if not folder.exists():
+        return
+    opened = ("config.json", "provenance.json", "handoffs", ".")
+    if others := sorted(p.name for p in folder.iterdir() if not p.name.startswith(opened)):
+        raise FileError(folder, f"{others[0]} and no training", "a training, or no such folder")
+    shutil.rmtree(folder)
 
 
 def gathered(out: Path, runs: Sequence[Run]) -> list[dict[str, Any]]:

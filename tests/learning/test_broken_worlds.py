@@ -84,4 +84,4 @@ def test_the_state_before_a_world_broke_is_kept_and_can_be_read(run):
 def test_the_line_names_what_happened_and_nothing_else(broken, overflows, end):
     recent = {name: deque([1.0]) for name in ("return", "success", "force_n")}
     counted = {"broken_worlds": broken, "overflows": overflows}
-    assert run_module._describe({"steps_per_s": 10.0}, recent, counted).endswith(end)
+    assert run_module._describe(10.0, recent, counted).endswith(end)

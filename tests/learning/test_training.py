@@ -398,7 +398,7 @@ def test_count_and_times_are_whole_on_a_narrow_terminal(speed, known):
     figures = {"return": 123.0, "success": 0.67, "force_n": 1.3}
     recent = {name: deque([x][:known]) for name, x in figures.items()}
     counted = {"broken_worlds": 0.0, "overflows": 0.0}
-    text = run_module._describe({"steps_per_s": speed}, recent, counted)
+    text = run_module._describe(speed, recent, counted)
     with run_module._progress() as progress:
         progress.add_task(text, total=240, completed=67)
         console = Console(file=io.StringIO(), width=80)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,14 +193,14 @@ def test_a_training_keeps_with_what_flags_it_was_begun(tmp_path, started, monkey
     path, out = tmp_path / "plan.yaml", tmp_path / "out"
     path.write_text("flags: {preset: cpu, ppo.hidden: [512, 256]}\nsettings: {a: }\nseeds: [0]")
 
-    def open_run(config, console, command):
-        write_json(config.out / "provenance.json", {"command": command})
+    def open_runs(configs, console, commands):
+        write_json(configs[0].out / "provenance.json", {"command": commands[0]})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tuning, "run_training", open_run)
+    monkeypatch.setattr(tuning, "run_together", open_runs)
     (run,) = read_plan(path)
     with pytest.raises(KeyboardInterrupt):
-        tuning.train(str(out / run.name), list(run.flags), os.getcwd())
+        tuning.train([str(out / run.name)], [list(run.flags)], os.getcwd())
     monkeypatch.setattr(tuning, "refusals", lambda trainings, cwd: [""])
     tune(TuneConfig(path, out), Console(quiet=True))
     assert started == ["a-seed0"]
@@ -219,11 +220,11 @@ def test_a_cluster_is_asked_for_its_gpus_and_its_workers_do_not_take_all_of_one(
 
         return [f"asked on GPU {ray.get_gpu_ids()}"] * len(trainings)
 
-    def say(folder, flags, cwd):
+    def say(folders, flags, cwd):
         import ray
 
         share = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE")
-        Path(folder).write_text(f"{share} {ray.get_gpu_ids()} {os.environ['PYTHONPATH']}")
+        Path(folders[0]).write_text(f"{share} {ray.get_gpu_ids()} {os.environ['PYTHONPATH']}")
 
     monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -253,9 +254,11 @@ def trainings(monkeypatch):
     """What `train` would have run, instead of it."""
     asked = []
     monkeypatch.setattr(tuning, "parse", lambda argv: argv)
-    monkeypatch.setattr(
-        tuning, "run_training", lambda argv, console, command: asked.append((argv, command))
-    )
+
+    def ask(argvs, console, commands):
+        asked.extend(zip(argvs, commands, strict=True))
+
+    monkeypatch.setattr(tuning, "run_together", ask)
     return asked
 
 
@@ -264,7 +267,7 @@ def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
     folder, cwd = tmp_path / "run", os.getcwd()
 
     def train():
-        tuning.train(str(folder), ["--seed", "1"], cwd)
+        tuning.train([str(folder)], [["--seed", "1"]], cwd)
 
     folder.mkdir()
     (folder / "config.json").touch()
@@ -288,8 +291,40 @@ def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
 def test_a_folder_that_holds_something_else_stays(tmp_path, trainings):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(FileError, match=r"notes\.txt and no training"):
-        tuning.train(str(tmp_path), ["--seed", "1"], os.getcwd())
+        tuning.train([str(tmp_path)], [["--seed", "1"]], os.getcwd())
     assert not trainings and (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_seeds_that_are_trained_together_are_one_process(tmp_path, trainings, monkeypatch):
+    """All of a setting that are left; those that were cut short in their opening begin anew."""
+    runs = [tuning.Run(f"{s}-seed{k}", s, "", k, ("--seed", str(k))) for s in "ab" for k in (0, 1)]
+    config = TuneConfig(tmp_path / "plan.yaml", tmp_path, together=True)
+    assert [[r.name for r in group] for group in tuning._groups(config, runs)] == [
+        ["a-seed0", "a-seed1"],
+        ["b-seed0", "b-seed1"],
+    ]
+    alone = tuning._groups(replace(config, together=False), runs)
+    assert [len(group) for group in alone] == [1, 1, 1, 1]
+    folders = [tmp_path / run.name for run in runs[:3]]
+    for folder in folders:
+        folder.mkdir()
+    (folders[0] / "finished.json").touch()
+    (folders[1] / "provenance.json").touch()
+
+    def train():
+        tuning.train(list(map(str, folders)), [list(r.flags) for r in runs[:3]], os.getcwd())
+        asked = [argv for argv, _ in trainings]
+        trainings.clear()
+        return asked
+
+    new = [["--seed", "1", "--out", str(folders[1])], ["--seed", "0", "--out", str(folders[2])]]
+    assert train() == new
+    for folder in folders[1:]:
+        (folder / "finished.json").unlink()
+        folder.mkdir(exist_ok=True)
+        (folder / "provenance.json").touch()
+    assert train() == [["--resume", str(folder)] for folder in folders[1:]]
+    assert train() == [] and all((f / "finished.json").exists() for f in folders)
 
 
 def metrics(folder, success, force):
@@ -321,13 +356,13 @@ def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
     """More than twenty are killed at random; one training fails by itself."""
     (tmp_path / "pids").mkdir()
 
-    def write_slowly(folder, flags, cwd):
+    def write_slowly(folders, flags, cwd):
         """Stands for a training: says who does it, takes a while, then writes its result."""
-        at = Path(folder)
+        at = Path(folders[0])
         at.mkdir(parents=True, exist_ok=True)
         (at.parent / "pids" / f"{os.getpid()}").touch()
         time.sleep(0.6)
-        if flags == ["fail"]:
+        if flags == [["fail"]]:
             raise ValueError("cannot work")
         with (at / "done").open("a") as stream:
             stream.write("x")

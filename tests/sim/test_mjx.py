@@ -138,7 +138,7 @@ def test_external_torque_is_the_constraint_torque(scene, starts, rest, params):
     state, seen = rest, 0.0
     for tick in range(150):
         state, measured, _ = step(state, params, ramp(scene, starts, tick / 3))
-        warp = physics.on["cpu"].data
+        warp = physics.on["cpu", physics.num_worlds].data
         expected = warp.qfrc_constraint.numpy()[:, finger_dofs(scene)]
         np.testing.assert_allclose(measured.external_torque[:, 0], expected, atol=3e-3)
         seen = max(seen, np.abs(expected).max())
@@ -336,7 +336,7 @@ def test_the_solver_begins_with_the_acceleration_it_is_given(scene, starts, para
     for warmstart in (before.warmstart, jnp.full_like(before.warmstart, 1e3)):
         given = before._replace(warmstart=warmstart)
         after, _, _ = jax.block_until_ready(step(given, params, before.ctrl))
-        data = physics.on["cpu"].data
+        data = physics.on["cpu", physics.num_worlds].data
         np.testing.assert_array_equal(after.warmstart, data.qacc.numpy())
         iterations.append(int(data.solver_niter.numpy().sum()))
     assert np.abs(after.warmstart).max() > 0
@@ -386,3 +386,18 @@ def test_broken_world_is_counted_reset_and_kept(scene, starts, mjx_physics):
 def test_no_worlds_are_refused(scene):
     with pytest.raises(InputError, match="num_worlds"):
         MjxPhysics(scene, 0)
+
+
+def test_copies_of_all_worlds_are_stepped_as_one_batch(scene, starts, rest, params, mjx_physics):
+    """Under vmap, one call of Warp's, and what comes out is what each copy alone would give."""
+    ctrls = jnp.stack([ramp(scene, starts, tick) for tick in (3, 9, 27)])
+    state = jax.tree.map(lambda x: jnp.stack([x, x, x]), rest)
+    together = jax.jit(jax.vmap(mjx_physics.step, in_axes=(0, None, 0)))(state, params, ctrls)
+    for k, ctrl in enumerate(ctrls):
+        alone = jax.jit(lambda c: mjx_physics.step(rest, params, c))(ctrl)
+        jax.tree.map(
+            lambda many, one, k=k: np.testing.assert_allclose(many[k], one, atol=2e-4),
+            together,
+            alone,
+        )
+    assert ("cpu", 3 * len(ROWS)) in mjx_physics.on

@@ -1,0 +1,142 @@
+"""Trainings of several seeds in step: each as if it were alone."""
+
+import csv
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tiny_training as tiny
+from rich.console import Console
+
+from mjx_grasp.assets import asset_path
+from mjx_grasp.errors import InputError
+from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
+from mjx_grasp.learning.ppo import init_state
+from mjx_grasp.learning.run import LoopConfig, Member, TrainingDiverged, train_loop, train_together
+from mjx_grasp.training import job
+from mjx_grasp.training.command_line import parse
+
+SEEDS = (3, 4)
+
+
+@pytest.fixture(scope="module")
+def env():
+    return tiny.make_env()
+
+
+def members(env, folder, count=2):
+    return [
+        Member(folder / str(seed), init_state(tiny.ppo(count), env, seed), {"seed": seed})
+        for seed in SEEDS
+    ]
+
+
+@pytest.fixture(scope="module")
+def together(env, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("together")
+    for seed in SEEDS:
+        (folder / str(seed)).mkdir()
+    loop = LoopConfig(checkpoint_every=1)
+    return folder, train_together(members(env, folder), env, tiny.ppo(2), loop)
+
+
+def rows(folder):
+    with (folder / "metrics.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_each_learns_what_it_learns_alone(env, together, tmp_path):
+    folder, states = together
+    for seed, state in zip(SEEDS, states, strict=True):
+        (tmp_path / str(seed)).mkdir()
+        start = init_state(tiny.ppo(), env, seed)
+        alone = train_loop(tmp_path / str(seed), start, env, tiny.ppo(2), LoopConfig(), {})
+        np.testing.assert_allclose(tiny.parameters(state), tiny.parameters(alone), atol=2e-5)
+        for mine, its in zip(rows(folder / str(seed)), rows(tmp_path / str(seed)), strict=True):
+            for name in ("reward", "policy_loss", "episodes", "env_steps", "iteration"):
+                np.testing.assert_allclose(float(mine[name]), float(its[name]), atol=1e-4)
+    first, second = map(tiny.parameters, states)
+    assert np.abs(first - second).max() > 1e-2, "seeds differ"
+
+
+def test_each_keeps_checkpoints_of_its_own(env, together):
+    folder, states = together
+    for seed, state in zip(SEEDS, states, strict=True):
+        kept = checkpoints(folder / str(seed) / "checkpoints")
+        assert [path.name[-1] for path in kept] == ["1", "2"]
+        back, goes_on = restore_checkpoint(kept[-1], init_state(tiny.ppo(), env, 9), env)
+        assert goes_on
+        np.testing.assert_array_equal(tiny.parameters(back), tiny.parameters(state))
+
+
+def test_one_that_diverges_is_named(env, tmp_path):
+    (a, b) = members(env, tmp_path)
+    for member in (a, b):
+        member.folder.mkdir()
+    bad = jax.tree.map(lambda x: x * jnp.nan, b.state.params)
+    with pytest.raises(TrainingDiverged, match=r"4/diverged\.npz.*iteration 1; "):
+        train_together(
+            [a, b._replace(state=b.state._replace(params=bad))], env, tiny.ppo(2), LoopConfig()
+        )
+    assert (b.folder / "diverged.npz").exists() and not (a.folder / "diverged.npz").exists()
+
+
+def configs(tmp_path, *flags):
+    states = str(asset_path("handoffs_standins.npz"))
+    fixed = ["--preset", "cpu", "--objects", "foam_brick", "--start-from", "None", "--handoffs"]
+    return [
+        parse([*fixed, states, *flags, "--seed", str(seed), "--out", str(tmp_path / str(seed))])
+        for seed in SEEDS
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"mass": 0.2}, "one setting, several seeds"),
+        ({"handoffs": None}, "--handoffs"),
+    ],
+)
+def test_what_cannot_go_on_in_step_is_refused(tmp_path, change, says):
+    first, second = configs(tmp_path)
+    if "handoffs" in change:
+        first = dataclasses.replace(first, **change)
+    with pytest.raises(InputError, match=says):
+        job.run_together([first, dataclasses.replace(second, **change)], Console(quiet=True))
+    assert not list(tmp_path.iterdir())
+
+
+def test_all_go_on_from_the_newest_checkpoint_that_all_have(tmp_path, monkeypatch):
+    first, second = (
+        dataclasses.replace(c, resume=tmp_path / str(k)) for k, c in enumerate(configs(tmp_path))
+    )
+    has = {"0": (10, 20), "1": (20, 30)}
+
+    def kept(folder):
+        return [folder / f"iteration_{k:08d}" for k in has[folder.parent.name]]
+
+    monkeypatch.setattr(job, "checkpoints", kept)
+    monkeypatch.setattr(job, "newest_checkpoint", lambda folder: (kept(folder) or [None])[-1])
+    assert [p.name[-2:] for p in job._to_resume([first, second])] == ["20", "20"]
+    has["1"] = (20,)
+    assert [p.name[-2:] for p in job._to_resume([first, second])] == ["20", "20"]
+    has["1"] = (30,)
+    assert job._to_resume([first, second]) == [None, None]
+    has["1"] = ()
+    assert job._to_resume([first, second]) == [None, None]
+    assert job._to_resume([dataclasses.replace(first, resume=None)]) == [None]
+
+
+@pytest.mark.long
+def test_runs_are_those_of_single_trainings(tmp_path):
+    small = ["--ppo.worlds", "4", "--ppo.minibatches", "2", "--ppo.unroll", "4"]
+    small += ["--ppo.iterations", "2", "--evaluation-episodes", "0", "--engine", "mjx"]
+    folders = job.run_together(configs(tmp_path, *small), Console(quiet=True))
+    assert folders == [tmp_path / str(seed) for seed in SEEDS]
+    assert all((folder / "policy.npz").exists() for folder in folders)
+    for a, b in itertools.pairwise(folders):
+        assert (a / "policy.npz").read_bytes() != (b / "policy.npz").read_bytes()
+        assert (a / "config.json").read_text() != (b / "config.json").read_text()

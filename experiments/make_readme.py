@@ -130,6 +130,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
+            "paper-ablation": policy_tables.paper_ablation(folder / "paper_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),
             "end-to-end": end_to_end_tables.success_from_home(folder),
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),

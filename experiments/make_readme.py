@@ -100,6 +100,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             ),
             "throughput": closing_tables.throughput(throughput),
             "devices": speed_tables.devices(on_devices),
+            "seeds-together": speed_tables.together(sorted(folder.glob("seeds_*.json"))),
             "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json")), on_devices),
             "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
             "reach": reach_tables.reach_rates(folder / "reach_sweep_cpu.json"),

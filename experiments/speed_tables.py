@@ -210,6 +210,7 @@ def devices(paths: Sequence[Path]) -> str:
                 r["outcome"].split(":")[0],
                 f"{r['env_steps'] / 1e6:.1f}",
                 f"{r['seconds']:.0f}",
+                "" if r["first_iteration_s"] is None else f"{r['first_iteration_s']:.0f}",
                 f"{speed:,.0f}" if speed else "",
                 f"{speed / one:.2f}" if compared else "",
                 "" if r["success_percent"] is None else f"{r['success_percent']:.1f}",
@@ -219,9 +220,35 @@ def devices(paths: Sequence[Path]) -> str:
         )
     header = (
         "device", "GPUs", "processes", "worlds of each", "came to", "M steps", "s in all",
-        "control steps/s", "times one", "success %", "force N", "seed",
+        "first iteration s", "control steps/s", "times one", "success %", "force N", "seed",
     )  # fmt: skip
     return markdown(Table("Several GPUs", header, tuple(rows), names=3)) if rows else NOTHING
+
+
+def together(paths: Sequence[Path]) -> str:
+    """Seeds that are trained in step, against one alone on the same device."""
+    rows = []
+    for d in (read_json(path, "a results file") for path in paths):
+        one = next(r for r in d["rows"] if r["seeds"] == 1)
+        for r in d["rows"]:
+            apart = r["seeds"] * one["iteration_s"] / r["iteration_s"]
+            rows.append(
+                (
+                    d["provenance"]["device"],
+                    str(r["seeds"]),
+                    f"{r['worlds']:,} × {r['unroll']}",
+                    f"{1e3 * d['physics_dt']:g}",
+                    f"{r['compile_s']:.0f}",
+                    f"{r['iteration_s']:.2f}",
+                    f"{r['steps_per_s']:,.0f}",
+                    f"{apart:.1f}",
+                )
+            )
+    header = (
+        "device", "seeds", "worlds of each × unroll", "physics step ms", "compiling s",
+        "iteration s", "control steps/s", "times as fast as apart",
+    )  # fmt: skip
+    return markdown(Table("Seeds together", header, tuple(rows))) if rows else NOTHING
 
 
 def tuned(paths: Sequence[Path], alone_files: Sequence[Path] = ()) -> str:

@@ -96,11 +96,13 @@ def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
         "success_percent": 84.56,
         "force_n": 2.04,
         "seconds": 70.4,
+        "first_iteration_s": 20.6,
     }
     rows = [
         row | {"devices": 2, "way": "donate", "steps_per_s": 190_000.0},
         row | {"devices": 1, "way": "sharded", "steps_per_s": 100_000.0},
-        row | dict.fromkeys(("steps_per_s", "success_percent", "force_n"))
+        row
+        | dict.fromkeys(("first_iteration_s", "steps_per_s", "success_percent", "force_n"))
         | {"devices": 2, "way": "processes", "outcome": "failed (-11): and why", "env_steps": 0},
         row | {"devices": 2, "worlds": 8192, "way": "sharded", "steps_per_s": 1e6},
     ]  # fmt: skip
@@ -109,16 +111,17 @@ def test_several_gpus_are_compared_with_one_that_has_as_many_worlds(tmp_path):
     path.write_text(json.dumps(made))
     one, donating, processes, more = map(values, table([path]).splitlines()[2:])
     assert one[1:7] == ["1", "one", "4,096", "finished", "2.5", "70"]
-    assert one[7:] == ["100,000", "", "84.6", "2.0", "3"]
-    assert donating[1:3] == ["2", "one, donating"] and donating[7:9] == ["190,000", "1.90"]
-    assert processes[2:] == ["one each", "4,096", "failed (-11)", "0.0", "70", "", "", "", "", "3"]
-    assert more[7:9] == ["1,000,000", ""]
+    assert one[7:] == ["21", "100,000", "", "84.6", "2.0", "3"]
+    assert donating[1:3] == ["2", "one, donating"] and donating[8:10] == ["190,000", "1.90"]
+    failed = ["one each", "4,096", "failed (-11)", "0.0", "70", "", "", "", "", "", "3"]
+    assert processes[2:] == failed
+    assert more[8:10] == ["1,000,000", ""]
 
 
 def test_several_gpus_are_compared_with_one_of_their_own_revision(tmp_path):
     row = {
         "worlds": 64, "outcome": "finished", "env_steps": 0, "way": "sharded",
-        "success_percent": None, "force_n": None, "seconds": 9.0,
+        "success_percent": None, "force_n": None, "seconds": 9.0, "first_iteration_s": None,
     }  # fmt: skip
 
     def written(name, git, **speeds):
@@ -134,8 +137,22 @@ def test_several_gpus_are_compared_with_one_of_their_own_revision(tmp_path):
         written("c", "other", x4=400.0),
     ]
     lines = make_readme.speed_tables.devices(paths).splitlines()[2:]
-    times = {values(line)[7]: values(line)[8] for line in lines}
+    times = {values(line)[8]: values(line)[9] for line in lines}
     assert times == {"100": "", "200": "", "150": "1.50", "380": "1.90", "400": "2.00"}
+
+
+def test_seeds_in_step_are_compared_with_one_alone(tmp_path):
+    rows = [
+        {"seeds": n, "worlds": 1024, "unroll": 64, "compile_s": 14.2, "iteration_s": s,
+         "steps_per_s": n * 65_536 / s}
+        for n, s in ((1, 0.8), (8, 2.0))
+    ]  # fmt: skip
+    path = tmp_path / "seeds_x.json"
+    path.write_text(json.dumps({"rows": rows, "physics_dt": 0.002, "provenance": PROVENANCE}))
+    one, eight = map(values, make_readme.speed_tables.together([path]).splitlines()[2:])
+    assert one[1:] == ["1", "1,024 × 64", "2", "14", "0.80", "81,920", "1.0"]
+    assert eight[1:] == ["8", "1,024 × 64", "2", "14", "2.00", "262,144", "3.2"]
+    assert make_readme.speed_tables.together([]) == make_readme.speed_tables.NOTHING
 
 
 def test_trainings_side_by_side_say_what_each_took_and_all(tmp_path):

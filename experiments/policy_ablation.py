@@ -13,8 +13,9 @@ already is replaced.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,16 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import FileError
-from mjx_grasp.evaluation.trials import Trials, by_object, paired_draws, run_trials
+from mjx_grasp.evaluation.config import EvaluateConfig
+from mjx_grasp.evaluation.run import model_based
+from mjx_grasp.evaluation.trials import (
+    Controller,
+    Trials,
+    by_object,
+    paired_draws,
+    run_trials,
+    zero_controller,
+)
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import policy_task
@@ -36,7 +46,7 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
-from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
+from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world
 from mjx_grasp.tasks.config import RobotErrors, StartNoise
 from mjx_grasp.training.config import TrainConfig, settings_of, stored_config
 
@@ -70,6 +80,8 @@ class AblationConfig(CommandSettings):
     """forces that the policies may take [N]"""
     as_trained: bool = False
     """judge each in one more condition: friction, robot and errors as its own training drew them"""
+    squeezes: tuple[Positive, ...] = ()
+    """forces of squeezes that are judged, nominally, in the task of each [N]"""
     episodes: Count = 32
     """per object, budget and condition [-]"""
     seed: Seed = 0
@@ -96,25 +108,43 @@ def evaluated(
 ) -> list[dict[str, Any]]:
     """One row per condition and budget; all trials in one compiled episode."""
     policy = load_policy(policy_file)
-    noises = [
-        (name, budget, replace(noise, budget_n=(budget, budget)))
-        for name, noise in conditions.items()
-        for budget in config.budgets
+    asked = [(name, budget) for name in conditions for budget in config.budgets]
+    noises = [replace(conditions[name], budget_n=(budget, budget)) for name, budget in asked]
+    task = policy_task(policy)
+    found = _tried(world, task, policy.controller(), noises, config)
+    return [
+        {"condition": n, "budget_n": b} | sums for (n, b), sums in zip(asked, found, strict=True)
     ]
+
+
+def squeezed(
+    world: World, task: TaskConfig, force: float, config: AblationConfig
+) -> dict[str, Any]:
+    """What a squeeze lifts in a policy's task, nominally."""
+    squeeze = EvaluateConfig(config.out, controller="squeeze", squeeze_force=force)
+    own = model_based(task, squeeze)
+    (sums,) = _tried(world, own, None, [CONDITIONS["nominal"]], config)
+    return {"condition": "nominal", "squeeze_n": force} | sums
+
+
+def _tried(
+    world: World,
+    own: TaskConfig,
+    controller: Controller | None,
+    noises: Sequence[StartNoise],
+    config: AblationConfig,
+) -> list[dict[str, Any]]:
+    """The figures of each condition; without a controller, of the task's command alone."""
     indices = np.unique(np.asarray(world.starts.object_index)).tolist()
     draws = [
-        paired_draws(world.starts, indices, config.episodes, noise, config.seed)
-        for *_, noise in noises
+        paired_draws(world.starts, indices, config.episodes, noise, config.seed) for noise in noises
     ]
     draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
     size = config.episodes * len(indices)
     widest = CONDITIONS["other robot"]
-    task = world.task("mujoco", size, policy_task(policy), widest, with_privileged=False)
-    trials = run_trials(task, policy.controller(), draw, size)
-    return [
-        {"condition": name, "budget_n": budget} | _sums(own, len(indices))
-        for (name, budget, _), own in zip(noises, by_object(trials, len(noises)), strict=True)
-    ]
+    task = world.task("mujoco", size, own, widest, with_privileged=False)
+    trials = run_trials(task, controller or zero_controller(task), draw, size)
+    return [_sums(each, len(indices)) for each in by_object(trials, len(noises))]
 
 
 def _sums(trials: Trials, objects: int) -> dict[str, Any]:
@@ -145,6 +175,7 @@ def main(config: AblationConfig) -> None:
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, _ = eligible(scene.object_names, stored)
     world = build_world(scene, states_of(stored, names, "training"), 0.01)
+    squeeze = cache(lambda task, force: squeezed(world, task, force, config))
     kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
     rows = {row["run"]: row for row in kept["rows"]}
     with counting_progress(Console(stderr=True)) as bar:
@@ -158,6 +189,7 @@ def main(config: AblationConfig) -> None:
                 "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
                 "trained": read_json(folder / "provenance.json", "the provenance of a run"),
                 "evaluations": evaluated(world, folder / "policy.npz", CONDITIONS | own, config),
+                "squeezes": [squeeze(trained.task, force) for force in config.squeezes],
             }
             record = {
                 "schema": SCHEMA,

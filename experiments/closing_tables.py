@@ -211,6 +211,25 @@ def conditions(folder: Path) -> str:
     return f"{objects}, {engine.rstrip(', ')}:\n\n" + markdown(replace(table, rows=rows))
 
 
+def grip_sweep(path: Path) -> str:
+    """The answering grip over its least force and the friction that it counts on."""
+    if not path.exists():
+        return NOTHING
+    lines: dict[tuple[float, float], list[str]] = {}
+    header = ["least force N", "counts on friction"]
+    for condition, columns in read_groups([path]).items():
+        header.append(condition.short().removeprefix(_common(condition)))
+        for column in columns:
+            row = next(iter(column.rows.values()))
+            at = row.grip_force_n, row.grip_friction
+            mean, (low, high) = column.mean()
+            force, _ = column.forces()
+            said = f"{mean:.1f} ({low:.0f}–{high:.0f}) at {force:.1f}"
+            lines.setdefault(at, [f"{at[0]:g}", f"{at[1]:g}"]).append(said)
+    rows = tuple(tuple(line) for _, line in sorted(lines.items()))
+    return markdown(Table("Grip", tuple(header), rows, names=0))
+
+
 def engines_agree(paths: Sequence[Path]) -> str:
     """The same trials of controllers in both engines, side by side.
 

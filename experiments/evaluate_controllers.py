@@ -1,7 +1,7 @@
 """The table of success against force: policy, squeeze and grip from the same states, in one file.
 
 Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
-each friction, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
+each friction and least force, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
 training engine's figures for the comparison of both. A file of the same settings and
 revision is gone on with. A new policy need not wait for what is known of the others, nor more
 budgets for those that the same policy had:
@@ -117,6 +117,8 @@ class ComparisonConfig(Spread):
     """how the squeeze shares each of them out"""
     grip_frictions: tuple[Positive, ...] = ()
     """frictions μ₀ that the grip assumes when it answers to load [-]"""
+    grip_forces: tuple[Positive, ...] = added((REACTING.force,), absent=(REACTING.force,))
+    """with each of these as its least force per finger [N]"""
     known: tuple[Path, ...] = ()
     """earlier comparisons from the same states: their squeezes and grips are not run again, nor
     what they have of the same policy"""
@@ -147,8 +149,9 @@ def asked_controllers(
             for force in config.squeeze_forces
         ),
         *(
-            replace(alone, controller="grip", grip=replace(REACTING, friction=friction))
-            for friction in config.grip_frictions
+            replace(alone, controller="grip", grip=replace(REACTING, friction=mu, force=force))
+            for mu in config.grip_frictions
+            for force in config.grip_forces
         ),
     ]
 

@@ -327,7 +327,8 @@ def worded(command: str, scans: Path) -> list[str]:
             beside = max(1, cores // _CORES_EACH_IN_MJX) if gpu else cores
             words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
         elif f"{kind}:" not in (TRIALS, FEWER):
-            words.append(given.get(word, re.sub(r"^(\d+)\|\d+$", r"\1", word)))
+            word = re.sub(r"^(\d+)\|\d+$", r"\1", word)
+            words.append(" ".join(given.get(part, part) for part in word.split(" ")))
         elif gpu:
             trials = str(QUICKLY if f"{kind}:" == FEWER else EPISODES)
             words += [*_IN_MJX, "--episodes", trials]
@@ -340,7 +341,7 @@ def _more_environment(command: str) -> dict[str, str]:
     """What a command's own environment has beside this one's."""
     if CORES in command:  # processes that share all cores would only wait for each other on a GPU
         return {"JAX_PLATFORMS": "cpu"}
-    if "mjx_grasp.train" in command or not has_gpu():
+    if any(trains in command for trains in ("mjx_grasp.train", "mjx_grasp.tune")) or not has_gpu():
         return {}
     # Kernels are not tried out for each function: only trainings run long enough to gain that back.
     own = os.environ.get("XLA_FLAGS", "")  # of two flags the later one counts

@@ -8,7 +8,7 @@ Each run is one command, and the first of them the preset itself:
 
 lifts with their policies in native MuJoCo from states of the training set, so that what is chosen
 by this table is not chosen by the states that the results are made with. A run that is in the file
-already is replaced.
+already is replaced, unless it was judged alike by the same code.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json, write_json
+from mjx_grasp.records.journal import goes_on
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
@@ -69,7 +70,7 @@ class AblationConfig(CommandSettings):
     """Which runs to evaluate."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """folders of finished runs"""
+    """folders of finished runs, or folders of such folders"""
     out: Path = Path("experiments/results/policy_ablation.json")
     objects: tuple[str, ...] = ("eight",)
     objects_dir: Path | None = None
@@ -85,6 +86,20 @@ class AblationConfig(CommandSettings):
     episodes: Count = 32
     """per object, budget and condition [-]"""
     seed: Seed = 0
+
+
+def finished_runs(folder: Path) -> list[Path]:
+    """A run, or all those in a folder that have a policy.
+
+    Raises:
+        FileError: There is none.
+    """
+    if (folder / "policy.npz").exists():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob("*/policy.npz"))
+    if not found:
+        raise FileError(folder, "no policy.npz", "a finished run, or a folder of some")
+    return found
 
 
 def flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -166,10 +181,8 @@ def _sums(trials: Trials, objects: int) -> dict[str, Any]:
 def main(config: AblationConfig) -> None:
     """Evaluates the runs, one after the other."""
     made = provenance(config.seed)
-    settings = {folder: stored_config(folder) for folder in config.runs}
-    for folder in config.runs:
-        if not (folder / "policy.npz").exists():
-            raise FileError(folder, "no policy.npz", "a finished run")
+    folders = [folder for given in config.runs for folder in finished_runs(given)]
+    settings = {folder: stored_config(folder) for folder in folders}
     robot = load_robot()
     stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir), robot=robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
@@ -178,22 +191,29 @@ def main(config: AblationConfig) -> None:
     squeeze = cache(lambda task, force: squeezed(world, task, force, config))
     kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
     rows = {row["run"]: row for row in kept["rows"]}
+    judged = to_record(replace(config, runs=(), out=Path()))
+    alike = bool(rows) and goes_on(kept, {"judged": judged}, made["git"])
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("runs", total=len(settings))
         for folder, trained in settings.items():
+            begun = read_json(folder / "provenance.json", "the provenance of a run")
+            if alike and rows.get(folder.name, {}).get("trained") == begun:
+                bar.update(job, advance=1)
+                continue
             own = {"as trained": trained.noise} if config.as_trained else {}
             rows[folder.name] = {
                 "run": folder.name,
                 "changes": changes(trained),
                 "seed": trained.seed,
                 "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
-                "trained": read_json(folder / "provenance.json", "the provenance of a run"),
+                "trained": begun,
                 "evaluations": evaluated(world, folder / "policy.npz", CONDITIONS | own, config),
                 "squeezes": [squeeze(trained.task, force) for force in config.squeezes],
             }
             record = {
                 "schema": SCHEMA,
                 "settings": to_record(config),
+                "judged": judged,
                 "rows": list(rows.values()),
                 "provenance": made,
             }

@@ -22,6 +22,8 @@ from mjx_grasp.objects.model import load_objects
 from mjx_grasp.pipeline.assemble import known_object, whole_grasps
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.posture.body import robot_body
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.training.config import settings_of
@@ -82,6 +84,90 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
     with pytest.raises(FileError, match="runs of the same length"):
         script("policy_tables").ablation(path)
+
+
+def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    table = script("policy_tables").paper_ablation
+
+    def row(name, seed, nominal, changes):
+        judged = {"trials": 8, "force_mean_n": 2.0 + seed}
+        return {
+            "run": f"{name}-seed{seed}",
+            "seed": seed,
+            "env_steps": 30_801_920,
+            "changes": {"engine": "mjx", "scene.physics_dt": 0.005} | changes,
+            "evaluations": [
+                judged | {"condition": "nominal", "success_percent": nominal},
+                judged | {"condition": "hard", "success_percent": 25.0},
+            ],
+            "squeezes": [judged | {"squeeze_n": 3.0, "success_percent": 62.5}],
+        }
+
+    rows = [
+        row("reference", 0, 50.0, {}),
+        row("reference", 1, 75.0, {}),
+        row("lift", 0, 87.5, {"task.lift.delay_s": 0.5, "task.action.residual": "leaky"}),
+        row("lift", 1, 100.0, {"task.lift.delay_s": 0.5, "task.action.residual": "leaky"}),
+    ]
+    path = tmp_path / "paper_ablation.json"
+    path.write_text(json.dumps({"rows": rows}))
+    said, _, header, _, reference, lift = table(path).splitlines()
+    assert "2 seeds of 30.8 M steps each" in said and "91.9 %" in said
+    assert header.split(" | ")[1:] == ["nominal", "hard", "squeezes in the same task, nominal |"]
+    assert reference.startswith("| `reference` | 62.5 (75, 50) at 2.5 | 25.0 (25, 25) at 2.5 |")
+    assert reference.endswith("| 62.5 at 2.0 of 3 |")
+    words = "`task.lift.delay_s` 0.5, `task.action.residual` leaky"
+    assert lift.startswith(f"| `lift`: {words} | 93.8 (100, 88) at 2.5 |")
+    path.write_text(json.dumps({"rows": rows[:3]}))
+    with pytest.raises(FileError, match="as many seeds of each"):
+        table(path)
+    assert table(tmp_path / "none.json") == "_No results file yet._"
+
+
+def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, judged = script("policy_ablation"), []
+    plan = tmp_path / "plan"
+    for name in ("a-seed0", "a-seed1", "unfinished"):
+        (plan / name).mkdir(parents=True)
+        write_json(plan / name / "provenance.json", {"command": name})
+    for name in ("a-seed0", "a-seed1"):
+        (plan / name / "policy.npz").touch()
+    one, two = plan / "a-seed0", plan / "a-seed1"
+    assert module.finished_runs(plan) == [one, two] and module.finished_runs(two) == [two]
+    with pytest.raises(FileError, match="a finished run, or a folder of some"):
+        module.finished_runs(plan / "unfinished")
+    made = provenance(0) | {"git": "0" * 40}
+
+    def evaluated(world, policy, conditions, config):
+        judged.append((policy.parent.name, tuple(conditions)))
+        return []
+
+    squeezed = []
+    nothing = lambda *_, **__: SimpleNamespace(object_names=())  # noqa: E731
+    for name in ("load_robot", "load_handoffs", "build_scene_of", "states_of", "build_world"):
+        monkeypatch.setattr(module, name, nothing)
+    monkeypatch.setattr(module, "eligible", lambda *_: ((), ()))
+    monkeypatch.setattr(module, "evaluated", evaluated)
+    monkeypatch.setattr(module, "squeezed", lambda w, task, force, c: squeezed.append(force) or {})
+    monkeypatch.setattr(module, "provenance", lambda seed: made)
+    monkeypatch.setattr("mjx_grasp.records.journal.is_committed", lambda git: True)
+    monkeypatch.setattr(module, "stored_config", lambda folder: settings_of("paper"))
+    config = module.AblationConfig(
+        (one,), out=tmp_path / "out.json", as_trained=True, squeezes=(1.0, 3.0)
+    )
+    module.main(config)
+    module.main(replace(config, runs=(plan,)))
+    conditions = ("nominal", "hard", "other robot", "as trained")
+    assert judged == [("a-seed0", conditions), ("a-seed1", conditions)]
+    assert squeezed == [1.0, 3.0, 1.0, 3.0], "once for a task in each call"
+    assert len(json.loads(config.out.read_text())["rows"]) == 2
+    judged.clear()
+    module.main(replace(config, runs=(plan,), episodes=8))
+    write_json(one / "provenance.json", {"command": "another training"})
+    module.main(replace(config, runs=(plan,), episodes=8))
+    assert [name for name, _ in judged] == ["a-seed0", "a-seed1", "a-seed0"]
 
 
 def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):

@@ -176,7 +176,8 @@ def test_xla_tries_kernels_out_for_trainings_alone_or_if_asked(paper, monkeypatc
     monkeypatch.setattr(paper.module, "has_gpu", lambda: True)
     flags = "--xla_gpu_autotune_level=0 --xla_gpu_autotune_level=4"
     assert added("experiments/pose_error.py TRIALS:5") == {"XLA_FLAGS": flags}
-    assert added("-m mjx_grasp.train --preset paper") == {}
+    for trains in ("-m mjx_grasp.train --preset paper", "-m mjx_grasp.tune plan.yaml"):
+        assert added(trains) == {}
 
 
 def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
@@ -191,6 +192,13 @@ def test_a_gpu_makes_as_many_trials_as_published_and_cores_as_many_as_they_can(
         monkeypatch.setattr(module, "has_gpu", lambda gpu=gpu: gpu)
         found = module.worded("x.py TRIALS:56 --out y", tmp_path)
         assert found == ["x.py", *words.split(), "--out", "y"]
+
+
+def test_words_within_a_word_are_told_too(paper, tmp_path, monkeypatch):
+    monkeypatch.setattr(paper.module, "has_gpu", lambda: False)
+    scans = paper.module.ROOT / "scans"
+    *_, last = paper.module.worded("-m x --flags '--objects-dir SCANS --seed 1'", scans)
+    assert last == "--objects-dir scans --seed 1"
 
 
 FULL = "b.py TRIALS:8 --in 64|16 --out README.md"

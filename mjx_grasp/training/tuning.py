@@ -55,6 +55,8 @@ class TuneConfig(CommandSettings):
     sets of `objects` by name, and `flags` that all have"""
     out: Path
     """folder of the runs and of their table; what is finished there is kept"""
+    flags: str = ""
+    """more flags of `train` for all of them, such as "--objects-dir SCANS" """
     gpus: NonNegative | None = None
     """of each training, 0.5 for two on one; None: one where there is a GPU, none elsewhere [-]"""
     cpus: Positive = 1.0
@@ -78,8 +80,12 @@ class Run(NamedTuple):
     """of `train`"""
 
 
-def read_plan(path: Path) -> list[Run]:
+def read_plan(path: Path, more: str = "") -> list[Run]:
     """The trainings of a plan, every combination once.
+
+    Args:
+        path: The plan.
+        more: Flags that all have beside its own.
 
     Raises:
         FileError: It is no plan, or two of its trainings have the same name.
@@ -112,7 +118,7 @@ def read_plan(path: Path) -> list[Run]:
         if objects[group]:
             of |= {"objects": objects[group]}
         name = "-".join(part for part in (setting, group, f"seed{seed}") if part)
-        runs.append(Run(name, setting, group, seed, tuple(as_flags(of))))
+        runs.append(Run(name, setting, group, seed, (*as_flags(of), *shlex.split(more))))
     for name, count in Counter(run.name for run in runs).items():
         if count > 1:
             expected = "names of settings and objects that make one of their own for each"
@@ -181,7 +187,7 @@ def tune(config: TuneConfig, console: Console) -> Table:
     """
     if find_spec("ray") is None:
         raise InputError("tune", "no Ray", "the extra 'ray' (pip install 'mjx_grasp[ray]')")
-    runs, made = read_plan(config.plan), provenance(0)
+    runs, made = read_plan(config.plan, config.flags), provenance(0)
     if not config.out.exists():
         check_new_folder("--out", config.out)
     for run in runs:

@@ -58,6 +58,8 @@ def test_every_combination_is_a_training(plan):
     assert words.startswith("--preset cpu --ppo.iterations 2 ")
     for flag in ("--task.observation.no-forces", "--ppo.hidden 8 8", "--seed 3"):
         assert flag in words
+    more = read_plan(plan, "--objects-dir 'my scans'")
+    assert [run.flags for run in more] == [(*r.flags, "--objects-dir", "my scans") for r in runs]
     assert words.endswith("--objects rubiks_cube foam_brick")
     assert "forces" not in " ".join(runs[0].flags)
 

@@ -1,8 +1,8 @@
 """The table of success against force: policy, squeeze and grip from the same states, in one file.
 
 Each condition runs the policy with each budget, the squeeze at each force and the answering grip at
-each friction and least force, from the same draws. Native MuJoCo is the reference; `--engine mjx` gives the
-training engine's figures for the comparison of both. A file of the same settings and
+each friction and least force, from the same draws. Native MuJoCo is the reference; `--engine mjx`
+gives the training engine's figures for the comparison of both. A file of the same settings and
 revision is gone on with. A new policy need not wait for what is known of the others, nor more
 budgets for those that the same policy had:
 

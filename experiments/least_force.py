@@ -27,11 +27,12 @@ from scipy.spatial.transform import Rotation
 from mjx_grasp.cli import counting_progress, run_command
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.wrench_margin import ContactConfig
-from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.objects.catalogue import find_objects
-from mjx_grasp.objects.model import load_objects
+from mjx_grasp.objects.model import ObjectModel, load_objects
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import CommandSettings, Positive, Several, to_record
 from mjx_grasp.robot.spec import load_robot
@@ -101,36 +102,41 @@ def main(config: LeastForceConfig) -> None:
         raise InputError("--objects", without, f"some of {', '.join(stored.object_names)}")
     objects = {obj.name: obj for obj in load_objects(names, config.objects_dir)}
     states = states_of(stored, names, "evaluation")
+    made, digests = provenance(0), file_digests(handoffs=path)
+    journal = Journal(config.out, {"settings": to_record(config)} | digests, made["git"])
     rows: list[dict[str, Any]] = []
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("start states", total=len(states) * len(config.frictions))
         for friction in config.frictions:
             for k, name in enumerate(names):
-                obj, forces = objects[name], []
-                for state in np.flatnonzero(states.object_index == k):
-                    turned = Rotation.from_quat(states.object_quat[state], scalar_first=True)
-                    centre = states.object_pos[state] + turned.apply(obj.com)
-                    where, out = states.target_pos[state], states.target_normal[state]
-                    contact = ContactConfig(friction=friction)
-                    forces.append(least_mean_force(where, -out, centre, obj.weight, contact))
-                    bar.update(job, advance=1)
-                rows.append(
-                    {
-                        "object": name,
-                        "friction": friction,
-                        "mass_kg": obj.mass,
-                        "forces_n": [round(x, 3) if np.isfinite(x) else None for x in forces],
-                    }
-                )
+                obj, own = objects[name], np.flatnonzero(states.object_index == k)
+                finished = f"{name} {friction:g}"
+                if finished not in journal.done:
+                    least = [_least_of(states, state, obj, friction) for state in own]
+                    journal.add(finished, [round(x, 3) if np.isfinite(x) else None for x in least])
+                bar.update(job, advance=len(own))
+                forces = journal.done[finished]
+                common = {"object": name, "friction": friction, "mass_kg": obj.mass}
+                rows.append(common | {"forces_n": forces})
     record = {
         "schema": SCHEMA,
         "settings": to_record(config),
         "not_eligible": without,
-        "sha256": file_digests(handoffs=path),
-        "provenance": provenance(0),
+        "sha256": digests,
+        "provenance": made,
         "rows": rows,
     }
     write_json(config.out, record)
+    journal.close()
+
+
+def _least_of(states: HandoffSet, state: int, obj: ObjectModel, friction: float) -> float:
+    """The least mean force per finger with which a state's targets hold the object [N]."""
+    turned = Rotation.from_quat(states.object_quat[state], scalar_first=True)
+    centre = states.object_pos[state] + turned.apply(obj.com)
+    contact = ContactConfig(friction=friction)
+    inward = -states.target_normal[state]
+    return least_mean_force(states.target_pos[state], inward, centre, obj.weight, contact)
 
 
 if __name__ == "__main__":

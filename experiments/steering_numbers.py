@@ -31,8 +31,9 @@ from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.pipeline.assemble import STEERED_SCORE, steered_candidates
 from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings
+from mjx_grasp.records.settings import CommandSettings, to_record
 from mjx_grasp.robot.spec import HandSpec, load_robot
 
 SCHEMA = "mjx_grasp.steering_numbers/1"
@@ -154,13 +155,16 @@ def main(config: NumbersConfig) -> None:
     """Measures and writes."""
     made = provenance(0)  # before anything is written, so that the revision is not dirty by it
     hand = load_robot().hand
-    rows: list[dict[str, Any]] = []
+    journal, rows = Journal(config.out, to_record(config), made["git"]), []
     for name in track(config.objects, "objects", console=Console(stderr=True)):
-        rows += rows_of(seen(name, config.objects_dir, hand))
+        if name not in journal.done:
+            journal.add(name, list(rows_of(seen(name, config.objects_dir, hand))))
+        rows += journal.done[name]
     settings = {"span_m": hand.span, "friction": hand.scoring_friction, "usable": USABLE}
     settings |= {"on_part_m": ON_PART_M}
     content = {"schema": SCHEMA, "settings": settings, "rows": rows, "provenance": made}
     write_json(config.out, content)
+    journal.close()
     print(f"written: {config.out}, {len(rows)} rows")
 
 

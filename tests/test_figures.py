@@ -318,6 +318,30 @@ def test_steering_by_numbers_on_one_object(tmp_path, monkeypatch):
         assert row["contacts_mm"] >= row["nearest_mm"] - 0.01 or row["quality"] < 0.05
 
 
+def test_steering_by_numbers_goes_on_with_the_object_that_it_was_stopped_at(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    numbers, looked_at, fails = script("steering_numbers"), [], {"mug"}
+
+    def seen(name, *_):
+        looked_at.append(name)
+        if name in fails:
+            raise KeyboardInterrupt
+        return name
+
+    monkeypatch.setattr(numbers, "seen", seen)
+    monkeypatch.setattr(numbers, "rows_of", lambda obj: iter([{"object": obj}]))
+    monkeypatch.setattr(numbers, "provenance", lambda seed: provenance(seed) | {"git": "0" * 40})
+    monkeypatch.setattr("mjx_grasp.records.journal.is_committed", lambda git: True)
+    config = numbers.NumbersConfig(objects=("apple", "mug"), out=tmp_path / "numbers.json")
+    with pytest.raises(KeyboardInterrupt):
+        numbers.main(config)
+    fails.clear()
+    numbers.main(config)
+    assert looked_at == ["apple", "mug", "mug"]
+    assert [r["object"] for r in json.loads(config.out.read_text())["rows"]] == ["apple", "mug"]
+    assert [path.name for path in tmp_path.iterdir()] == ["numbers.json"]
+
+
 def test_the_table_of_convex_pieces(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")  # as when it is run as a script
     scans, out = tmp_path / "scans", tmp_path / "pieces.json"

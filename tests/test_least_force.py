@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.wrench_margin import ContactConfig
+from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.records.provenance import provenance
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
 STATES = EXPERIMENTS.parent / "assets" / "handoffs_standins.npz"
@@ -104,3 +106,31 @@ def test_objects_without_states_are_left_out(
     assert found["not_eligible"] == ["mini_soccer_ball"]
     with pytest.raises(InputError, match="mini_soccer_ball"):
         module.main(module.LeastForceConfig(objects=names[1:], handoffs=STATES, out=out))
+
+
+def test_what_was_looked_at_before_it_was_stopped_is_not_looked_at_again(
+    script: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = script("least_force")
+    asked: list[str] = []
+    stopped_at = ["apple"]
+
+    def least(states: object, state: int, obj: ObjectModel, friction: float) -> float:
+        asked.append(obj.name)
+        if obj.name in stopped_at:
+            raise KeyboardInterrupt
+        return math.inf if state % 2 else 1.0
+
+    monkeypatch.setattr(module, "_least_of", least)
+    monkeypatch.setattr(module, "provenance", lambda seed: provenance(seed) | {"git": "0" * 40})
+    monkeypatch.setattr("mjx_grasp.records.journal.is_committed", lambda git: True)
+    names, out = ("rubiks_cube", "apple"), tmp_path / "least.json"
+    config = module.LeastForceConfig(objects=names, handoffs=STATES, frictions=(0.8,), out=out)
+    with pytest.raises(KeyboardInterrupt):
+        module.main(config)
+    stopped_at.clear()
+    module.main(config)
+    rows = {row["object"]: row["forces_n"] for row in json.loads(out.read_text())["rows"]}
+    assert list(rows) == list(names) and set(rows["apple"]) == {1.0, None}
+    assert asked.count("rubiks_cube") == len(rows["rubiks_cube"])
+    assert asked.count("apple") == len(rows["apple"]) + 1

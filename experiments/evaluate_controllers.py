@@ -119,6 +119,8 @@ class ComparisonConfig(Spread):
     """frictions μ₀ that the grip assumes when it answers to load [-]"""
     grip_forces: tuple[Positive, ...] = added((REACTING.force,), absent=(REACTING.force,))
     """with each of these as its least force per finger [N]"""
+    own_task: bool = added(False, absent=False)
+    """whether squeeze and grip have the lift and times of the policy's task, not today's"""
     known: tuple[Path, ...] = ()
     """earlier comparisons from the same states: their squeezes and grips are not run again, nor
     what they have of the same policy"""
@@ -215,7 +217,7 @@ def what_is_known(
         earlier = from_record(ComparisonConfig, settings, "settings")
     except InputError as error:
         raise FileError(path, str(error), "a comparison of controllers") from None
-    for name in ("objects", "states", "noisy_torque", "engine", "episodes", "seed"):
+    for name in ("objects", "states", "noisy_torque", "own_task", "engine", "episodes", "seed"):
         found, expected = getattr(earlier, name), getattr(config, name)
         if found != expected:
             raise FileError(path, f"{name} {found!r}", f"{expected!r}, as asked for now")
@@ -260,6 +262,8 @@ class _Evaluator(NamedTuple):
     """objects without start states"""
     policy: Policy
     reached: Bool[np.ndarray, " n"]
+    task: TaskConfig | None
+    """of squeeze and grip, if not today's"""
 
     def asked(self, config: ComparisonConfig) -> list[EvaluateConfig]:
         """All controllers under all conditions."""
@@ -277,7 +281,8 @@ def _load(config: ComparisonConfig) -> _Evaluator:
     if not names:
         raise InputError("--objects", config.objects, f"some of {', '.join(stored.object_names)}")
     world = build_world(scene, states, TaskConfig().control_dt)
-    return _Evaluator(world, names, without, policy, states.reached)
+    task = policy_task(policy) if config.own_task else None
+    return _Evaluator(world, names, without, policy, states.reached, task)
 
 
 class _Job(NamedTuple):
@@ -301,7 +306,7 @@ def _evaluated(own: _Evaluator, job: _Job) -> list[dict[str, Any]]:
     policy = own.policy if job.chosen[0].controller == "policy" else None
     quiet = Console(quiet=True)  # the bar is of all of them, and the file counts the incidents
     beside = job.names, job.chosen, policy, own.reached, quiet
-    found = evaluate_beside(own.world, *beside, room=job.room)
+    found = evaluate_beside(own.world, *beside, own.task, job.room)
     return [
         {"rows": [asdict(row) for row in rows], "incidents": incidents(trials.values())}
         for rows, trials in found

@@ -77,6 +77,8 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
         },
         root / "docs" / "reproduction.md": {
             "claims": paper_tables.claims(folder),
+            "eight": paper_tables.eight(folder),
+            "all-objects": paper_tables.all_objects(folder),
             "times": speed_tables.paper_times(folder / "paper_times.json", PARTS),
             "trials": closing_tables.trials(folder, _COUNTED),
         },

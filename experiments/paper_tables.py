@@ -17,14 +17,19 @@ from markdown_tables import NOTHING, markdown
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.judging import SameStarts, mean_force, mean_success, resampled
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
+from mjx_grasp.evaluation.results import mean_success as mean_rate
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
+from mjx_grasp.tasks.config import StartNoise
 
 _FORCE_N = 3.0
 """Of the published squeeze."""
 _OFFSET_MM = 5.0
 """Of the trials that stand for the published ones."""
 _SQUEEZE = f"squeeze {_FORCE_N:g} N"
+_FAILED = {"never_lifted": "never lifted", "not_held": "not held", "slipped": "slipped"}
+_PUBLISHED_ELIGIBLE = 28 - paper.WITHOUT_GRASP
 _LONG_S = 8.0
 """How long the publication shows a hold."""
 
@@ -128,6 +133,94 @@ def claims(folder: Path) -> str:
         return NOTHING
     header = ("claim", "published", "here", "", "why, as far as we know")
     return markdown(Table("Claims", header, tuple(claim.row() for claim in found), names=5))
+
+
+def eight(folder: Path) -> str:
+    """Success on the eight objects and how trials fail: ours, the published setting, published.
+
+    The preset `paper` has a file of its own, `paper_preset/eight.json`, with squeezes in its task.
+    """
+    return _three(
+        [_eight(folder, name, _FORCE_N) for name in ("policy", "squeeze")],
+        _preset_paper(folder / "paper_preset" / "eight.json"),
+        each=True,
+    )
+
+
+def all_objects(folder: Path) -> str:
+    """The same over all training objects that have start states, as means."""
+    path = folder / "objects" / "reached.json"
+    ours: list[list[ResultRow] | None] = [None, None]
+    if path.exists():
+        training = set(resolve(("train",)))
+        rows = [r for r in read_results(path).rows if r.object in training]
+        ours = [_nominal(rows, name, _FORCE_N) for name in ("policy", "squeeze")]
+    paper_rows = _preset_paper(folder / "paper_preset" / "objects.json")
+    return _three(ours, paper_rows, each=False)
+
+
+def _preset_paper(path: Path) -> list[list[ResultRow] | None]:
+    """Policy and squeeze of the preset `paper`."""
+    if not path.exists():
+        return [None, None]
+    rows = list(read_results(path).rows)
+    return [_nominal(rows, name, _FORCE_N) for name in ("policy", "squeeze")]
+
+
+def _nominal(rows: list[ResultRow], controller: str, force: float) -> list[ResultRow] | None:
+    """A controller's rows at ±5 mm: a policy, with this budget if it knows any, or a squeeze."""
+    found = [r for r in rows if r.controller == controller and r.offset_mm == _OFFSET_MM]
+    if controller == "squeeze":
+        found = [r for r in found if r.squeeze_force_n == force and r.squeeze_split == "even"]
+    else:
+        found = [r for r in found if r.force_budget_n in (None, force)]
+    return [r for r in found if r.friction == StartNoise().friction[0]] or None
+
+
+def _three(
+    ours: Sequence[list[ResultRow] | None], preset: Sequence[list[ResultRow] | None], each: bool
+) -> str:
+    """Policy and squeeze of both, beside the published ones.
+
+    Args:
+        ours: Policy and squeeze of today.
+        preset: Those of the preset `paper`.
+        each: Whether object by object; else means and published means alone.
+    """
+    if None in (*ours, *preset):
+        return NOTHING
+    columns = [rows for pair in zip(ours, preset, strict=True) for rows in pair if rows]
+    lines = []
+    for name, published in paper.OBJECTS.items() if each else ():
+        cells = [f"{_mean([r for r in rows if r.object == name]):.1f}" for rows in columns]
+        shown = f"{published.ours:.1f}", f"{published.squeeze:.1f}"
+        lines.append((name, *cells[:2], shown[0], *cells[2:], shown[1]))
+    means = (paper.MEAN.ours, paper.MEAN.squeeze) if each else paper.ALL_ELIGIBLE
+    summed = [mean_rate(rows) for rows in columns]
+    cells = [f"**{mean:.1f}** ({low:.1f}–{high:.1f})" for mean, (low, high) in summed]
+    said = [f"**{mean:.1f}**" for mean in means]
+    lines.append(("**mean**", *cells[:2], said[0], *cells[2:], said[1]))
+    for failure, word in _FAILED.items():
+        shares = [f"{_mean(rows, failure):.1f}" for rows in columns]
+        theirs = [f"{of[failure]:.1f}" if each else "" for of in paper.FAILURES.values()]
+        lines.append((word, *shares[:2], theirs[0], *shares[2:], theirs[1]))
+    forces = [
+        f"{np.mean([r.force_mean_n for r in rows if r.force_mean_n is not None]):.1f} N"
+        for rows in columns
+    ]
+    lines.append(("force per finger", *forces[:2], "", *forces[2:], ""))
+    trials = [{r.episodes for r in rows} for rows in columns]
+    counts = [", ".join(map(str, sorted(of))) for of in trials]
+    published = str(paper.EPISODES)
+    lines.append(("trials of each", *counts[:2], published, *counts[2:], published))
+    count = [str(len(rows)) for rows in columns]
+    whole = str(len(paper.OBJECTS)) if each else str(_PUBLISHED_ELIGIBLE)
+    lines.append(("objects", *count[:2], whole, *count[2:], whole))
+    header = (
+        *("", "policy", "policy, preset `paper`", "published policy"),
+        *("squeeze 3 N", "squeeze 3 N in that preset's task", "published squeeze"),
+    )
+    return markdown(Table("Beside the publication", header, tuple(lines)))
 
 
 def _eight(folder: Path, controller: str, force: float) -> list[ResultRow] | None:

@@ -11,6 +11,7 @@ import pytest
 
 from mjx_grasp.closing.learned import ObservationConfig
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.tasks.config import ClosingTaskConfig
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
@@ -45,7 +46,7 @@ def script(monkeypatch, request, committed):
         return {"rows": rows, "incidents": {"overflows": 1}}
 
     def load(config):
-        return module._Evaluator(None, NAMES, [], None, np.ones(1, bool))
+        return module._Evaluator(None, NAMES, [], None, np.ones(1, bool), None)
 
     monkeypatch.setattr(module, "_evaluated", evaluated)
     monkeypatch.setattr(module, "_load", load)
@@ -116,6 +117,28 @@ def test_how_a_policy_is_held_to_its_budget_is_its_own_affair(script, first, tmp
     script.main(replace(first, out=tmp_path / "kept.json", known=(told.out,)))
     assert [each.controller for each in script.ran] == 2 * script.policies * ["policy"]
     assert all(each.keeping_gain > 0.0 for each in script.ran)
+
+
+def test_squeezes_have_the_task_of_the_policy_where_asked(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    module, given = importlib.import_module("evaluate_controllers"), []
+
+    def beside(world, names, chosen, policy, reached, console, task, room):
+        given.append(task)
+        return []
+
+    monkeypatch.setattr(module, "evaluate_beside", beside)
+    for task in (None, ClosingTaskConfig(episode_s=2.0)):
+        own = module._Evaluator(None, NAMES, [], None, np.ones(1, bool), task)
+        squeeze = EvaluateConfig(tmp_path / "out.json", controller="squeeze")
+        assert module._evaluated(own, module._Job([squeeze], NAMES, 1)) == []
+    assert given == [None, ClosingTaskConfig(episode_s=2.0)]
+
+
+def test_what_is_known_of_other_tasks_is_refused(script, first, tmp_path):
+    asked = replace(first, out=tmp_path / "x.json", known=(first.out,), own_task=True)
+    with pytest.raises(FileError, match=r"own_task False.*True, as asked for now"):
+        script.main(asked)
 
 
 def test_what_a_file_that_was_cut_off_lacks_is_run(script, first, tmp_path):

@@ -1,0 +1,87 @@
+"""Tables with what is published beside ours and the published setting."""
+
+import json
+
+import pytest
+from loaded import script
+
+from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.records.provenance import provenance
+from mjx_grasp.robot.spec import load_robot
+
+NAMES = tuple(paper.OBJECTS)
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend("experiments")
+    return script("paper_tables")
+
+
+def row(name, controller, successes, force, offset=5.0, **more):
+    return ResultRow(
+        object=name, controller=controller, engine="mujoco", episodes=8, successes=successes,
+        never_lifted=8 - successes, not_held=0, slipped=0, ci95=(0.0, 100.0), force_mean_n=2.0,
+        force_peak_n=4.0, squeeze_force_n=force if controller == "squeeze" else None,
+        squeeze_split="even" if controller == "squeeze" else None, offset_mm=offset, angle_deg=0.0,
+        friction=0.8, handoffs="reached", **more,
+    )  # fmt: skip
+
+
+def written(path, *rows):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_results(path, list(rows), provenance(0), load_robot().identity)
+
+
+def ours(names):
+    rows = []
+    for name in names:
+        rows += [row(name, "policy", 8, None, force_budget_n=3.0)]
+        rows += [row(name, "policy", 1, None, force_budget_n=6.0)]
+        rows += [row(name, "policy", 1, None, offset=10.0, force_budget_n=3.0)]
+        rows += [row(name, "squeeze", 4, 3.0), row(name, "squeeze", 1, 5.0)]
+    return rows
+
+
+def preset(names):
+    return [r for n in names for r in (row(n, "policy", 6, None), row(n, "squeeze", 2, 3.0))]
+
+
+def cells(line):
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_eight_stand_beside_what_is_published(tables, tmp_path):
+    assert tables.eight(tmp_path) == tables.NOTHING
+    written(tmp_path / "eight_native.json", *ours(NAMES))
+    assert tables.eight(tmp_path) == tables.NOTHING, "the published setting is missing"
+    written(tmp_path / "paper_preset" / "eight.json", *preset(NAMES))
+    lines = [cells(line) for line in tables.eight(tmp_path).splitlines()[2:]]
+    by_name = {line[0]: line[1:] for line in lines}
+    assert by_name["sugar_box"] == ["100.0", "75.0", "93.9", "50.0", "25.0", "14.3"]
+    mean = by_name["**mean**"]
+    assert [cell.split()[0] for cell in mean] == [
+        "**100.0**", "**75.0**", "**91.9**", "**50.0**", "**25.0**", "**56.1**",
+    ]  # fmt: skip
+    assert by_name["never lifted"] == ["0.0", "25.0", "4.9", "50.0", "75.0", "23.8"]
+    assert by_name["force per finger"] == ["2.0 N", "2.0 N", "", "2.0 N", "2.0 N", ""]
+    assert by_name["trials of each"] == ["8", "8", "448", "8", "8", "448"]
+    assert list(by_name)[: len(NAMES)] == list(NAMES)
+
+
+def test_all_training_objects_are_summed_up_without_held_out_ones(tables, tmp_path):
+    names = ("apple", "mug", "chips_can")
+    path = tmp_path / "objects" / "reached.json"
+    written(path, *ours(names))
+    written(tmp_path / "paper_preset" / "objects.json", *preset(names[:2]))
+    lines = [cells(line) for line in tables.all_objects(tmp_path).splitlines()[2:]]
+    by_name = {line[0]: line[1:] for line in lines}
+    assert "apple" not in by_name
+    assert by_name["objects"] == ["2", "2", "24", "2", "2", "24"]
+    assert by_name["**mean**"][2] == "**40.3**" and by_name["**mean**"][5] == "**29.8**"
+    record = json.loads(path.read_text())
+    for each in record["rows"]:
+        each["friction"] = 0.5
+    path.write_text(json.dumps(record))
+    assert tables.all_objects(tmp_path) == tables.NOTHING

@@ -1,6 +1,7 @@
 """Tables with what is published beside ours and the published setting."""
 
 import json
+from pathlib import Path
 
 import pytest
 from loaded import script
@@ -10,12 +11,13 @@ from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
+ROOT = Path(__file__).resolve().parent.parent
 NAMES = tuple(paper.OBJECTS)
 
 
 @pytest.fixture
 def tables(monkeypatch):
-    monkeypatch.syspath_prepend("experiments")
+    monkeypatch.syspath_prepend(ROOT / "experiments")
     return script("paper_tables")
 
 

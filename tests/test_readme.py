@@ -322,9 +322,22 @@ def by_hand(path):
     return GENERATED.sub("", path.read_text())
 
 
+SETTINGS = {
+    *("2 ms", "5 ms", "10 ms", "20 ms", "1.6 s", "3 s", "9 s", "30 s", "100 Hz", "500 Hz"),
+    *("2 mm", "5 mm", "6 mm", "15 mm", "1 m", "90°", "31 M steps"),
+}
+"""Numbers with a unit that documents say by themselves: steps, times and sizes that are asked for."""
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_no_number_of_a_result_is_written_by_hand(path):
     assert not re.search(r"\d\s*(%|N\b|steps/s|GiB|episodes)", by_hand(path))
+    units = (
+        r"[µm]?s|min|minutes?|seconds?|hours?|points?|k?Hz|[kMG]i?B|times|°|[cm]?m|m/s|k?g|M steps"
+    )
+    number = rf"(?<![\w.`/-])\d[\d.,]*[\s-]?(?:{units})(?![\w/])"
+    found = {" ".join(text.split()) for text in re.findall(number, by_hand(path))}
+    assert found <= SETTINGS, "results come from files; what is a setting is listed"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.relative_to(ROOT).as_posix())

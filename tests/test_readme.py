@@ -326,7 +326,7 @@ SETTINGS = {
     *("2 ms", "5 ms", "10 ms", "20 ms", "1.6 s", "3 s", "9 s", "30 s", "100 Hz", "500 Hz"),
     *("2 mm", "5 mm", "6 mm", "15 mm", "1 m", "90°", "31 M steps"),
 }
-"""Numbers with a unit that documents say by themselves: steps, times and sizes that are asked for."""
+"""Numbers with a unit that documents say by themselves: steps, times, sizes that are asked for."""
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.relative_to(ROOT).as_posix())

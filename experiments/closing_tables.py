@@ -44,10 +44,10 @@ CITATION = (
     f"8 selected objects, {paper.EPISODES} episodes per object and condition"
 )
 EXPLANATION = (
-    "Success in %, with 95 % intervals in brackets. The intervals treat trials as independent, but "
-    "trials share start states: these are kept out of training, and each is used again with "
-    "another offset where there are fewer states than trials. Force is the net contact force per "
-    "finger from the onset of the lift. The last columns are quoted from "
+    "Success in %, with 95 % intervals in brackets. Those of means draw the start states anew, "
+    "which are kept out of training and used again with other offsets where there are fewer states "
+    "than trials; those of single objects treat trials as independent. Force is the net contact "
+    "force per finger from the onset of the lift. The last columns are quoted from "
     f"{CITATION}."
 )
 EQUAL_FORCE = (
@@ -108,24 +108,26 @@ def means(paths: Sequence[Path]) -> str:
     rows = []
     for column in columns:
         force, _ = column.forces()
-        rows.append(
-            (column.label, f"{column.mean()[0]:.1f}", "" if force is None else f"{force:.1f}")
-        )
+        mean, (low, high) = column.mean()
+        cells = f"{mean:.1f}", f"{low:.1f}–{high:.1f}", "" if force is None else f"{force:.1f}"
+        rows.append((column.label, *cells))
     quoted = ""
     if condition.objects == paper.OBJECTS.keys():
         rows += [
-            ("publication: policy", f"{paper.MEAN.ours:.1f}", ""),
-            ("publication: squeeze 3 N", f"{paper.MEAN.squeeze:.1f}", ""),
+            ("publication: policy", f"{paper.MEAN.ours:.1f}", "", ""),
+            ("publication: squeeze 3 N", f"{paper.MEAN.squeeze:.1f}", "", ""),
         ]
         quoted = f" The last rows are quoted from {CITATION}."
-    table = Table("Means", ("controller", "lifted and held %", "contact force N"), tuple(rows))
+    header = ("controller", "lifted and held %", "95 % interval", "contact force N")
+    table = Table("Means", header, tuple(rows))
     episodes = " or ".join(map(str, sorted({r.episodes for c in columns for r in c.rows.values()})))
     objects = counted(len(condition.objects), "object")
     return (
         f"{objects} ({condition.meshes}), {episodes} trials each in "
         f"{condition.short()}:\n\n{markdown(table)}\n\n"
-        "Means over the objects. ± is how far the object may be from where the controller believes "
-        f"it to be; the force is that of one finger on the object, averaged over the lift.{quoted}"
+        "Means over the objects; their intervals draw the start states anew. ± is how far the "
+        "object may be from where the controller believes it to be; the force is that of one "
+        f"finger on the object, averaged over the lift.{quoted}"
     )
 
 

@@ -55,7 +55,7 @@ def test_the_readmes_show_what_the_files_hold(root):
     run(root)
     main = (root / "README.md").read_text()
     assert "1 object (parametric stand-ins), 64 trials each in native MuJoCo, ±5 mm" in main
-    assert "| policy | 95.3 | 4.2 |" in main
+    assert re.search(r"\| policy \| 95.3 \| \d\d\.\d–\d\d\.\d \| 4.2 \|", main)
     assert "publication: policy" not in main, "of one object its means say nothing"
     detail = (root / "experiments" / "README.md").read_text()
     for text in (

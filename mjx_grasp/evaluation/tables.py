@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation import judging, paper
 from mjx_grasp.evaluation.results import (
     ResultRow,
     Results,
@@ -79,8 +81,18 @@ class Column(NamedTuple):
     """What columns that differ in their force alone have in common."""
 
     def mean(self) -> tuple[float, tuple[float, float]]:
-        """Mean success over the objects and its 95 % interval [%]."""
-        return mean_success(list(self.rows.values()))
+        """Mean success over the objects and its 95 % interval [%].
+
+        The interval draws start states anew, as trials that share one are not independent; of
+        files that did not keep them it is that of independent trials.
+        """
+        rows = list(self.rows.values())
+        if not all(row.outcomes and row.forces_n and row.starts for row in rows):
+            return mean_success(rows)
+        trials = judging.same_starts([rows])
+        drawn = judging.mean_success(trials, judging.resampled(trials))[:, 0]
+        low, high = np.percentile(drawn[1:], (2.5, 97.5))
+        return float(drawn[0]), (float(low), float(high))
 
     def forces(self) -> tuple[float | None, float | None]:
         """Mean over the objects of the mean force, and the largest peak force [N]."""

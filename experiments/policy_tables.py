@@ -397,10 +397,10 @@ def ablation(path: Path) -> str:
 _PAPER = (
     "Trainings of the preset `paper` in steps of 5 ms, {seeds} seeds of {steps:.1f} M steps each, "
     "that differ from it in what the first column says. Each policy lifts the eight in native "
-    "MuJoCo in steps of 2 ms, from {trials} starts of the training set per condition, in the task "
-    "that it was trained in: success, mean over the seeds (each of them), at the mean force in N. "
-    "*As trained* has the friction, robot and errors of the training itself. A squeeze of so many "
-    "newtons has the same task, and no policy. The publication's best of eighteen lifts "
+    "MuJoCo in steps of 2 ms, from {trials} starts per condition that none has begun from, in the "
+    "task that it was trained in: success, mean over the seeds (each of them), at the mean force "
+    "in N. *As trained* has the friction, robot and errors of the training itself. A squeeze of so "
+    "many newtons has the same task, and no policy. The publication's best of eighteen lifts "
     "{published:.1f} %."
 )
 

@@ -86,6 +86,45 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
         script("policy_tables").ablation(path)
 
 
+def test_steered_grasps_are_shown_from_home_to_the_hold(tmp_path, monkeypatch):
+    """Poses are tried until one succeeds, and what came of each is said."""
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, asked = script("steered_trials_figure"), []
+    phases = [
+        {"name": "reaching", "start": 0.0, "end": 2.0},
+        {"name": "closing", "start": 2.0, "end": 2.4},
+        {"name": "reaching", "start": 2.4, "end": 2.8},
+        {"name": "lifting", "start": 3.2, "end": 5.0},
+    ]
+
+    def run_demo(demo, console):
+        asked.append((demo.object, demo.objects_dir, demo.seed))
+        success = demo.seed == 1 or demo.object == "mug"
+        about = {"object": demo.object, "mesh": "scan", "asked": f"“{demo.instruction}” (part)"}
+        about |= {"from_anchor_mm": 12.3, "at_best_mm": 9.1, "success": success, "phases": phases}
+        return about | {"grasp": {"outcome": "success" if success else "not_held"}}
+
+    film = [np.full((48, 64, 3), k, np.uint8) for k in range(100)]
+    monkeypatch.setattr(module, "run_demo", run_demo)
+    monkeypatch.setattr(module.iio, "imiter", lambda path: iter(film))
+    monkeypatch.setattr(module, "CASES", (("mug", "by the handle"), ("wine_glass", "by the stem")))
+    config = module.TrialsConfig(
+        objects_dir=tmp_path, out=tmp_path / "t.png", results=tmp_path / "t.json", cell_pixels=64
+    )
+    module.main(config)
+    assert asked == [("mug", tmp_path, 0), ("wine_glass", None, 0), ("wine_glass", None, 1)]
+    rows = json.loads(config.results.read_text())["rows"]
+    assert [row["outcomes"] for row in rows] == [["success"], ["not_held", "success"]]
+    assert rows[1]["seed"] == 1 and rows[1]["at_best_mm"] == 9.1
+    assert module.moments(phases, 100) == [0, round(2.7 * 25), 80, 99], "the last reach counts"
+    picture = np.asarray(Image.open(config.out))
+    left, top = module._LEFT, module._HEAD
+    shown = [int(picture[top + 20, left + k * (64 + module._GAP) + 30, 0]) for k in range(4)]
+    assert shown == pytest.approx([0, 67, 80, 99], abs=8)
+    failed = module.moments([{"name": "reaching", "start": 0.0, "end": 2.0}], 60)
+    assert failed == [0, 37, 50, 59], "a hand that never lifts is shown where the reach ended"
+
+
 def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     table = script("policy_tables").paper_ablation

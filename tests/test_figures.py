@@ -116,7 +116,7 @@ def test_steered_grasps_are_shown_from_home_to_the_hold(tmp_path, monkeypatch):
     rows = json.loads(config.results.read_text())["rows"]
     assert [row["outcomes"] for row in rows] == [["success"], ["not_held", "success"]]
     assert rows[1]["seed"] == 1 and rows[1]["at_best_mm"] == 9.1
-    assert module.moments(phases, 100) == [0, round(2.7 * 25), 80, 99], "the last reach counts"
+    assert module.moments(phases, 100) == [0, 67, 80, 99], "the last reach counts"
     picture = np.asarray(Image.open(config.out))
     left, top = module._LEFT, module._HEAD
     shown = [int(picture[top + 20, left + k * (64 + module._GAP) + 30, 0]) for k in range(4)]

@@ -100,3 +100,12 @@ def control(page, label):
 def number(page, label):
     """The panel's field beside a slider."""
     return page.locator(f"//label[.='{label}']/following::input[@type='text'][1]")
+
+
+def slide(page, label, share):
+    """Drags a slider's thumb to a share of its track, from the left."""
+    behind = f"//label[.='{label}']/following::*[contains(@class, 'mantine-Slider-{{}}')][1]"
+    thumb, track = (page.locator(behind.format(part)).bounding_box() for part in ("thumb", "track"))
+    y = thumb["y"] + 0.5 * thumb["height"]
+    start = np.array([thumb["x"] + 0.5 * thumb["width"], y])
+    drag(page, start, np.array([track["x"] + share * track["width"], y]))

@@ -14,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.plans import Wanted, planned
+from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known, Tried, Ways
@@ -23,6 +25,7 @@ from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.robot.interface import Measured
 from mjx_grasp.sim.native import NativePhysics, at_rest
 from mjx_grasp.sim.physics import Truth, WorldParams, make_params
+from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.live_tick import LiveState, LiveTick, adopt, advance, begin, seen
 
 HOLD_S = 30.0
@@ -79,6 +82,20 @@ class LiveGrasp:
         limit = {Phase.FAILED: _FALL_S, Phase.HOLDING: HOLD_S}.get(phase, np.inf)
         return bool(self.last.clock - self.last.entered[phase] >= limit)
 
+    def with_more(self, obj: ObjectModel) -> LiveGrasp:
+        """The same robot at a table with one object more; `prepare` has less to do for it.
+
+        Raises:
+            InputError: There is an object of this name.
+        """
+        names = self.scene.object_names
+        if obj.name in names:
+            raise InputError("object", obj.name, f"a name that is not there ({', '.join(names)})")
+        scene = build_scene([*self.scene.objects, obj], self.scene.robot, self.scene.config)
+        made = LiveGrasp(self.grasper, NativePhysics(scene, self.grasper.dt, threads=1))
+        made._library, made._key = self._library, self._key
+        return made
+
     def prepare(self, known: Known, tell: Callable[[str], None] = lambda text: None) -> None:
         """Draws the planner's library and compiles everything; changes no state of the grasp.
 
@@ -86,8 +103,8 @@ class LiveGrasp:
             known: Any object of the scene.
             tell: Told what is being worked on.
         """
-        planner, library = self.grasper.planner, None
-        if planner is not None:
+        planner, library = self.grasper.planner, self._library
+        if planner is not None and library is None:
             tell("drawing postures to start from")
             library = start_library(self.grasper.reacher.body, planner.config)
         qpos = self._begin(*_SOMEWHERE)

@@ -7,19 +7,23 @@ compiles meanwhile. Needs the extra ``viewer`` (viser).
 from __future__ import annotations
 
 import queue
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.grasps.problems import draw_problem
 from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.language.grounding import Target, target_of
+from mjx_grasp.objects.meshes import EXTENSIONS
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.assemble import known_object, steered_candidates
 from mjx_grasp.pipeline.state import Known
@@ -56,6 +60,8 @@ class LiveViewer:
     Args:
         live: The grasp, of a scene with all objects.
         heatmap: Computes the heatmap of an object.
+        load: Makes an object of a mesh's file, for meshes that are dropped on the page; None: none
+            can be.
         settings: What is shown first.
         host: Address to serve on.
         port: Port to serve on; the next free one if it is taken.
@@ -70,11 +76,12 @@ class LiveViewer:
         live: LiveGrasp,
         heatmap: Callable[[ObjectModel], StoredHeatmap],
         settings: ViewerSettings | None = None,
+        load: Callable[[Path], ObjectModel] | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         seed: int = 0,
     ):
-        self.live, self._heatmap, self._seed = live, heatmap, seed
+        self.live, self._heatmap, self._load, self._seed = live, heatmap, load, seed
         self._objects = {obj.name: obj for obj in live.scene.objects}
         self._subjects: dict[str, Subject] = {}
         self._name = next(iter(self._objects))
@@ -141,6 +148,10 @@ class LiveViewer:
         gui = self.viewer.server.gui
         with gui.add_folder("grasp", order=-1.0):
             self.chosen = gui.add_dropdown("object", tuple(self._objects))
+            self.upload = gui.add_upload_button(
+                "mesh of your own", disabled=True, color="gray", visible=self._load is not None,
+                mime_type=",".join(EXTENSIONS), hint=f"in metres: {', '.join(EXTENSIONS)}",
+            )  # fmt: skip
             self.grasp = gui.add_button("grasp", disabled=True, color="blue")
             self.stop = gui.add_button("stop", disabled=True, color="gray")
             self.drop = gui.add_button("new pose", color="gray")
@@ -150,6 +161,7 @@ class LiveViewer:
         self.grasp.on_click(lambda _: self._ask())
         self.drop.on_click(lambda _: self._jobs.put(self._drop))
         self.stop.on_click(lambda _: self._stopped.set())
+        self.upload.on_upload(lambda event: self._receive(event.target.value))
         for slider in (self.force, self.towards):
             slider.on_update(lambda _: self._draw_push())
 
@@ -231,6 +243,43 @@ class LiveViewer:
             self._put()
             self._say(f"{name}: {self._hint}")
 
+    def _receive(self, file: Any) -> None:
+        """Has a mesh added that was dropped on the page: its name and its bytes."""
+        name, content = str(file.name), bytes(file.content)
+        self._jobs.put(lambda: self._add(name, content))
+
+    def _add(self, file: str, content: bytes) -> None:
+        """Makes an object of a mesh, has everything compiled for it, and chooses it.
+
+        Raises:
+            FileError, InputError: It is no mesh that can be grasped, or its name is there already.
+        """
+        assert self._load is not None
+        self._say(f"working out the shape of {file}")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / Path(file).name
+            path.write_bytes(content)
+            try:
+                obj = self._load(path)
+            except FileError as error:  # the page knows no folder
+                raise FileError(file, error.found, error.expected) from None
+        live = self.live.with_more(obj)
+        at = [f"computing the heatmap of {obj.name}"]
+        with self._counting(at):
+            self._objects[obj.name] = obj
+            try:
+                live.prepare(self._subject(obj.name).known, at.append)
+            except Exception:
+                del self._objects[obj.name]
+                raise
+        before, self.live = self.live, live
+        before.close()
+        self._data = mujoco.MjData(live.scene.model)
+        self.chosen.options = tuple(self._objects)
+        self.chosen.value = obj.name
+        self._choose(obj.name)
+        self._say(f"{obj.name}, {1e3 * obj.mass:.0f} g: {self._hint}")
+
     def _drop(self) -> None:
         self._seed += 1
         self._put()
@@ -280,6 +329,7 @@ class LiveViewer:
         self.grasp.disabled = running or not self._ready
         self.stop.disabled = not running
         self.drop.disabled = self.chosen.disabled = running
+        self.upload.disabled = running or not self._ready
 
     def _say(self, text: str) -> None:
         self._status.content = note(text)

@@ -26,7 +26,7 @@ from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.folder import MeshFile
 from mjx_grasp.objects.meshes import read_mesh
-from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.objects.model import ObjectModel, load_object, load_objects
 from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.records.settings import Positive, Range
 from mjx_grasp.robot.spec import load_robot
@@ -58,7 +58,7 @@ class ViewConfig(MeshConfig):
     objects_dir: Path | None = None
     """folder of real scans of the catalogue's objects on the live page; stand-ins without one"""
     mass: Positive | None = None
-    """of each mesh of your own on the live page [kg]"""
+    """of each mesh of your own on the live page, also of those that are dropped on it [kg]"""
     density: Positive | None = None
     """of them, instead of a mass; 500 if neither is given [kg/m^3]"""
     controller: ClosingController = "policy"
@@ -97,8 +97,8 @@ def serve(config: ViewConfig, say: Callable[[str], None]) -> None:
     if config.live:
         check_loopback(config.host)
         live = load_live(config)
-        heatmap = partial(object_heatmap, config)
-        viewer = LiveViewer(live, heatmap, settings, config.host, config.port)
+        heatmap, own = partial(object_heatmap, config), partial(own_object, config)
+        viewer = LiveViewer(live, heatmap, settings, own, config.host, config.port)
         shown = ", ".join(live.scene.object_names)
     else:
         viewer = Viewer(*load(config), settings, config.host, config.port)
@@ -145,6 +145,19 @@ def load_live(config: ViewConfig) -> LiveGrasp:
     weight = Weight(config.mass, config.density)
     scene = build_scene(load_objects(names, config.objects_dir, weight=weight), robot)
     return LiveGrasp(grasper, NativePhysics(scene, grasper.dt, threads=1))
+
+
+def own_object(config: ViewConfig, path: Path) -> ObjectModel:
+    """The object of a mesh that is dropped on the live page.
+
+    Args:
+        config: What such meshes weigh.
+        path: The mesh.
+
+    Raises:
+        FileError: It is none, or none that can be grasped.
+    """
+    return load_object(str(path), weight=Weight(config.mass, config.density))
 
 
 def object_heatmap(config: ViewConfig, obj: ObjectModel) -> StoredHeatmap:

@@ -4,6 +4,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import handmade
 import numpy as np
@@ -12,7 +13,7 @@ from browser import free_port, need_viser, wait
 
 from mjx_grasp.closing.closer import Closer
 from mjx_grasp.closing.config import REACTING, CloserConfig
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
 from mjx_grasp.objects.resting import RestingPose
@@ -190,11 +191,11 @@ def test_the_status_says_how_it_stands():
 
 
 @contextmanager
-def served(live, ready=True):
+def served(live, ready=True, load=None):
     need_viser()
     from mjx_grasp.viz.live_viewer import LiveViewer
 
-    viewer = LiveViewer(live, heatmap, port=free_port())
+    viewer = LiveViewer(live, heatmap, load=load, port=free_port())
     try:
         if ready:
             wait(lambda: not viewer.grasp.disabled, 60)
@@ -223,6 +224,41 @@ def test_the_page_runs_one_grasp_after_the_other_without_anybody_looking(live):
         viewer.grasp.value = True
         wait(lambda: "failed" in viewer._status.content, 60)
     assert not viewer._threads[1].is_alive()
+
+
+def test_a_mesh_that_is_dropped_on_the_page_is_grasped_like_the_others(live, objects, monkeypatch):
+    """And what is none, or has the name of another, changes nothing."""
+    monkeypatch.setattr(live, "close", lambda: None)  # others use it
+    read = []
+
+    def load(path):
+        read.append((path.name, path.read_bytes()))
+        if path.suffix != ".stl":
+            raise FileError(path, "no mesh", "one that can be grasped")
+        return replace(objects[0], name=path.stem)
+
+    def dropped(name, then):
+        viewer._receive(SimpleNamespace(name=name, content=b"bytes"))
+        wait(lambda: then in viewer._status.content, 120)
+        wait(lambda: not viewer.upload.disabled)
+
+    with served(live, load=load) as viewer:
+        assert viewer.upload.visible
+        dropped("notes.txt", "FileError: notes.txt: found no mesh, expected one")
+        dropped("lying.stl", "a name that is not there (standing, lying)")
+        assert viewer.chosen.options == ("standing", "lying") and viewer.live is live
+        dropped("../mine.stl", "mine, ")
+        assert read[-1] == ("mine.stl", b"bytes")
+        assert viewer.chosen.options == ("standing", "lying", "mine")
+        assert viewer.chosen.value == viewer.viewer.target.name == "mine"
+        assert viewer.live.scene.object_names == ("standing", "lying", "mine")
+        viewer.grasp.value = True
+        wait(lambda: "failed" in viewer._status.content, 60)
+        wait(lambda: not viewer.grasp.disabled)
+        viewer.chosen.value = "lying"
+        wait(lambda: viewer.live.object_pose[0][2] == pytest.approx(THERE[2]))
+    with served(live, ready=False) as viewer:
+        assert not viewer.upload.visible
 
 
 def test_a_grasp_that_is_stopped_while_it_is_planned_ends_and_says_so(live, monkeypatch):

@@ -9,7 +9,8 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from browser import browsing, control, drag, free_port, need_viser, number, on_screen, wait
+import trimesh
+from browser import browsing, control, drag, free_port, need_viser, on_screen, slide, wait
 
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.model import load_object
@@ -28,17 +29,24 @@ def viewer(robot):
     """With fewer postures to start from than the command's."""
     need_viser()
     from mjx_grasp.viz.live_viewer import LiveViewer
-    from mjx_grasp.viz.viewing import ViewConfig, object_heatmap
+    from mjx_grasp.viz.viewing import ViewConfig, object_heatmap, own_object
 
     settings = whole_grasps(steered=True)
     plan = replace(settings.plan, library=4000)
     grasper = grasper_of(robot, reaching=replace(settings, plan=plan))
     objects = [load_object(name) for name in ("tomato_soup_can", "rubiks_cube")]
     live = LiveGrasp(grasper, NativePhysics(build_scene(objects, robot), grasper.dt, threads=1))
-    heatmap = partial(object_heatmap, ViewConfig(Path("mesh"), live=True))
-    made = LiveViewer(live, heatmap, ViewerSettings(), port=free_port())
+    config = ViewConfig(Path("mesh"), live=True, mass=0.15)
+    heatmap, own = partial(object_heatmap, config), partial(own_object, config)
+    made = LiveViewer(live, heatmap, ViewerSettings(), own, port=free_port())
     yield made
     made.close()
+
+
+def keep(page, folder, name):
+    for kept in filter(None, (folder, os.environ.get("MJX_GRASP_SCREENSHOTS"))):
+        page.screenshot(path=Path(kept) / name)
+    print(folder / name)
 
 
 @pytest.mark.long
@@ -53,11 +61,6 @@ def test_choose_drag_grasp_and_push(viewer, tmp_path):
     def in_world(point):
         p_wo, quat = viewer.live.object_pose
         return p_wo + np.asarray(so3.quat_to_mat(jnp.asarray(quat))) @ point
-
-    def keep(name):
-        for folder in filter(None, (tmp_path, os.environ.get("MJX_GRASP_SCREENSHOTS"))):
-            page.screenshot(path=Path(folder) / name)
-        print(tmp_path / name)
 
     with browsing(viewer.url, SIZE) as page:
         wait(lambda: "compiling" in words() or "drawing" in words(), 60)
@@ -81,7 +84,7 @@ def test_choose_drag_grasp_and_push(viewer, tmp_path):
         drag(page, *(on_screen(viewer.viewer.server, end, SIZE) for end in ends))
         wait(lambda: viewer.viewer.settings.anchor[2] > 0.5 * far)
         wait(lambda: viewer.viewer.shown.describe() != best)
-        keep("live_steered.png")
+        keep(page, tmp_path, "live_steered.png")
 
         page.get_by_role("button", name="grasp", exact=True).click()
         seen = []
@@ -94,14 +97,39 @@ def test_choose_drag_grasp_and_push(viewer, tmp_path):
 
         wait(lambda: follow(lambda: phase() in ("holding", "failed")), 120)
         assert set(seen) & {"reaching", "closing", "lifting"}, "it was watched"
-        field = number(page, "push [N]")
-        field.fill("1.5")
-        field.press("Enter")
-        wait(lambda: np.linalg.norm(viewer.push) == pytest.approx(1.5))
+        slide(page, "push [N]", 0.3)
+        wait(lambda: np.linalg.norm(viewer.push) == pytest.approx(1.5, abs=0.3))
         wait(lambda: "lifted and held" in words() or phase() == "failed", 60)
-        keep("live.png")
+        keep(page, tmp_path, "live.png")
         assert seen[-1] == "holding" and viewer.live.last.rise > 0.1
         page.get_by_role("button", name="stop", exact=True).click()
         wait(lambda: viewer.live.done)
         wait(lambda: "stopped" in words())
     wait(lambda: not viewer.grasp.disabled)
+
+
+@pytest.mark.long
+def test_a_mesh_of_ones_own_is_dropped_and_grasped(viewer, tmp_path):
+    mesh, broken = tmp_path / "beaker.stl", tmp_path / "broken.stl"
+    trimesh.creation.cylinder(radius=0.03, height=0.12, sections=64).export(mesh)
+    broken.write_text("no mesh")
+
+    def words():
+        return page.inner_text("body")
+
+    with browsing(viewer.url, SIZE) as page:
+        wait(lambda: not viewer.upload.disabled, 400)
+        files = page.locator("input[type=file]")
+        files.set_input_files(broken)
+        wait(lambda: "FileError: broken.stl" in words(), 60)
+        wait(lambda: not viewer.upload.disabled)
+        files.set_input_files(mesh)
+        wait(lambda: "beaker, 150 g" in words(), 400)
+        assert viewer.viewer.target.name == "beaker"
+        wait(lambda: not viewer.grasp.disabled)
+        page.get_by_role("button", name="grasp", exact=True).click()
+        wait(lambda: re.search("lifted and held|failed at", words()), 120)
+        keep(page, tmp_path, "live_own.png")
+        assert "lifted and held" in words() and viewer.live.last.rise > 0.1
+        page.get_by_role("button", name="stop", exact=True).click()
+        wait(lambda: viewer.live.done)

@@ -65,35 +65,49 @@ def _smoothed(path: Float[np.ndarray, "t k"], fps: float) -> Float[np.ndarray, "
 
 
 def best_azimuth(
-    model: Any, qpos: Float[np.ndarray, " nq"], focus: str, target: Float[np.ndarray, " 3"]
+    model: Any,
+    poses: Float[np.ndarray, "t nq"],
+    focus: str,
+    targets: Float[np.ndarray, "t 3"],
+    distances: Float[np.ndarray, " t"] | None = None,
 ) -> float:
     """The azimuth [deg] that shows most of the focus body and of every body that touches it.
 
+    That is judged at the last pose; at the others how much is seen of the focus body alone, for
+    half as much together: a camera may not stand in the robot there.
+
     Args:
         model: The MuJoCo model.
-        qpos: The pose to judge, best one in which the object is held.
+        poses: To judge; best the last one is one in which the object is held.
         focus: Name of the body to see.
-        target: The point to look at [m].
+        targets: The point to look at, at each of them [m].
+        distances: Of the camera [m]; `DISTANCE_M` by default.
     """
     import mujoco
 
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    shown = _bodies_of_interest(model, data, model.body(focus).id)
+    away = np.full(len(poses), DISTANCE_M) if distances is None else distances
+    data, number = mujoco.MjData(model), model.body(focus).id
     azimuths = np.arange(_AZIMUTHS) * 360.0 / _AZIMUTHS
-    scores = np.zeros(_AZIMUTHS)
+    scores = np.zeros((len(poses), _AZIMUTHS))
     camera = mujoco.MjvCamera()
-    camera.distance, camera.elevation, camera.lookat[:] = DISTANCE_M, ELEVATION_DEG, target
+    camera.elevation = ELEVATION_DEG
     with mujoco.Renderer(model, JUDGED_PIXELS, JUDGED_PIXELS) as renderer:
         renderer.enable_segmentation_rendering()
-        for i, azimuth in enumerate(azimuths):
-            camera.azimuth = azimuth
-            renderer.update_scene(data, camera)
-            seen = _visible_pixels(model, renderer.render())
-            # Square roots, so that seeing another finger beats seeing more of the same one.
-            scores[i] = sum(np.sqrt(seen[body]) for body in shown)
-    around = np.roll(scores, 1) + 2.0 * scores + np.roll(scores, -1)  # the camera will turn
+        for k, qpos in enumerate(poses):
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            last = k == len(poses) - 1
+            shown = _bodies_of_interest(model, data, number) if last else [number]
+            camera.distance, camera.lookat[:] = away[k], targets[k]
+            for i, azimuth in enumerate(azimuths):
+                camera.azimuth = azimuth
+                renderer.update_scene(data, camera)
+                seen = _visible_pixels(model, renderer.render())
+                # Square roots, so that seeing another finger beats seeing more of the same one.
+                scores[k, i] = sum(np.sqrt(seen[body]) for body in shown)
+    scores /= np.maximum(scores.max(axis=1, keepdims=True), 1e-9)
+    whole = scores[-1] + (0.5 * scores[:-1].mean(axis=0) if len(scores) > 1 else 0.0)
+    around = np.roll(whole, 1) + 2.0 * whole + np.roll(whole, -1)  # the camera will turn
     return float(azimuths[np.argmax(around)])
 
 

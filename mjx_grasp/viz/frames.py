@@ -21,6 +21,7 @@ from mjx_grasp.viz import camera as view
 Frame = UInt8[np.ndarray, "h w 3"]
 
 _BACKGROUND = np.array([232, 236, 241], np.uint8)
+_JUDGED = 5  # poses at which it is judged from where a film is best seen
 _SUPERSAMPLING = 2  # software renderers have no smooth edges of their own
 
 
@@ -58,7 +59,8 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
         held = OBJECT_BODY
         targets, distance = view.follow_both(model, poses, trajectory.focus, held, fps)
     try:
-        azimuth = view.best_azimuth(model, poses[-1], held, targets[-1])
+        judged = np.linspace(0, len(poses) - 1, _JUDGED).astype(int)
+        azimuth = view.best_azimuth(model, poses[judged], held, targets[judged], distance[judged])
         canvas = _Canvas(model, width, height)
     except Exception as error:
         raise BackendError(_first_line(error)) from error

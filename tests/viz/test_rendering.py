@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio.v3 as iio
 import mujoco
@@ -174,3 +175,21 @@ def test_a_gif_that_cannot_fit_is_refused_and_not_left(tmp_path):
     with pytest.raises(InputError, match="max_mb"):
         frames.write_gif(tmp_path / "g.gif", noisy(8), 10, max_bytes=500)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_camera_stands_where_the_object_is_seen_before_it_is_held_too():
+    for backend in ("egl", "osmesa"):
+        ran = subprocess.run(
+            [sys.executable, Path(__file__).with_name("camera_script.py")],
+            env=os.environ | {"MUJOCO_GL": backend},
+            capture_output=True,
+            text=True,
+        )
+        if ran.returncode == 0:
+            break
+    else:
+        if os.environ.get("MJX_GRASP_REQUIRE_RENDERER"):
+            pytest.fail(ran.stderr)
+        pytest.skip("no renderer")
+    by_all, by_the_last = map(int, ran.stdout.split())
+    assert by_all > 200 > 10 > by_the_last

@@ -17,7 +17,7 @@ from markdown_tables import NOTHING, markdown
 from mjx_grasp.evaluation import paper
 from mjx_grasp.evaluation.judging import SameStarts, mean_force, mean_success, resampled
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
-from mjx_grasp.evaluation.results import mean_success as mean_rate
+from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
@@ -196,7 +196,7 @@ def _three(
         shown = f"{published.ours:.1f}", f"{published.squeeze:.1f}"
         lines.append((name, *cells[:2], shown[0], *cells[2:], shown[1]))
     means = (paper.MEAN.ours, paper.MEAN.squeeze) if each else paper.ALL_ELIGIBLE
-    summed = [mean_rate(rows) for rows in columns]
+    summed = [Column("", {row.object: row for row in rows}).mean() for rows in columns]
     cells = [f"**{mean:.1f}** ({low:.1f}–{high:.1f})" for mean, (low, high) in summed]
     said = [f"**{mean:.1f}**" for mean in means]
     lines.append(("**mean**", *cells[:2], said[0], *cells[2:], said[1]))

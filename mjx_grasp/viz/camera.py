@@ -70,11 +70,12 @@ def best_azimuth(
     focus: str,
     targets: Float[np.ndarray, "t 3"],
     distances: Float[np.ndarray, " t"] | None = None,
+    turns: Float[np.ndarray, " t"] | None = None,
 ) -> float:
     """The azimuth [deg] that shows most of the focus body and of every body that touches it.
 
-    That is judged at the last pose; at the others how much is seen of the focus body alone, for
-    half as much together: a camera may not stand in the robot there.
+    That is judged at the last pose; of the others that counts, half as much, at which least is seen
+    of the focus body: a camera may not stand in the robot there.
 
     Args:
         model: The MuJoCo model.
@@ -82,10 +83,12 @@ def best_azimuth(
         focus: Name of the body to see.
         targets: The point to look at, at each of them [m].
         distances: Of the camera [m]; `DISTANCE_M` by default.
+        turns: By how much it has turned from the azimuth [deg]; 0 by default.
     """
     import mujoco
 
     away = np.full(len(poses), DISTANCE_M) if distances is None else distances
+    turned = np.zeros(len(poses)) if turns is None else turns
     data, number = mujoco.MjData(model), model.body(focus).id
     azimuths = np.arange(_AZIMUTHS) * 360.0 / _AZIMUTHS
     scores = np.zeros((len(poses), _AZIMUTHS))
@@ -100,15 +103,15 @@ def best_azimuth(
             shown = _bodies_of_interest(model, data, number) if last else [number]
             camera.distance, camera.lookat[:] = away[k], targets[k]
             for i, azimuth in enumerate(azimuths):
-                camera.azimuth = azimuth
+                camera.azimuth = azimuth + turned[k]
                 renderer.update_scene(data, camera)
                 seen = _visible_pixels(model, renderer.render())
                 # Square roots, so that seeing another finger beats seeing more of the same one.
                 scores[k, i] = sum(np.sqrt(seen[body]) for body in shown)
     scores /= np.maximum(scores.max(axis=1, keepdims=True), 1e-9)
-    whole = scores[-1] + (0.5 * scores[:-1].mean(axis=0) if len(scores) > 1 else 0.0)
-    around = np.roll(whole, 1) + 2.0 * whole + np.roll(whole, -1)  # the camera will turn
-    return float(azimuths[np.argmax(around)])
+    held = np.roll(scores[-1], 1) + 2.0 * scores[-1] + np.roll(scores[-1], -1)  # and around
+    before = scores[:-1].min(axis=0) if len(scores) > 1 else 0.0
+    return float(azimuths[np.argmax(held / max(held.max(), 1e-9) + 0.5 * before)])
 
 
 def _bodies_of_interest(model: Any, data: Any, focus: int) -> list[int]:

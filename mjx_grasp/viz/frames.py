@@ -58,15 +58,16 @@ def render(trajectory: Trajectory, width: int, height: int, fps: float) -> list[
     else:
         held = OBJECT_BODY
         targets, distance = view.follow_both(model, poses, trajectory.focus, held, fps)
+    turn = np.linspace(-view.TURN_DEG / 2, view.TURN_DEG / 2, len(poses))
     try:
         judged = np.linspace(0, len(poses) - 1, _JUDGED).astype(int)
-        azimuth = view.best_azimuth(model, poses[judged], held, targets[judged], distance[judged])
+        seen_at = targets[judged], distance[judged], turn[judged]
+        azimuth = view.best_azimuth(model, poses[judged], held, *seen_at)
         canvas = _Canvas(model, width, height)
     except Exception as error:
         raise BackendError(_first_line(error)) from error
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     camera.elevation = view.ELEVATION_DEG
-    turn = np.linspace(-view.TURN_DEG / 2, view.TURN_DEG / 2, len(poses))
     pictures = []
     try:
         for i, qpos in enumerate(poses):

@@ -59,16 +59,28 @@ def test_the_eight_stand_beside_what_is_published(tables, tmp_path):
     written(tmp_path / "eight_native.json", *ours(NAMES))
     assert tables.eight(tmp_path) == tables.NOTHING, "the published setting is missing"
     written(tmp_path / "paper_preset" / "eight.json", *preset(NAMES))
+    assert tables.eight(tmp_path) == tables.NOTHING
+    written(tmp_path / "paper_preset" / "today.json", *ours(NAMES))
     lines = [cells(line) for line in tables.eight(tmp_path).splitlines()[2:]]
     by_name = {line[0]: line[1:] for line in lines}
-    assert by_name["sugar_box"] == ["100.0", "75.0", "93.9", "50.0", "25.0", "14.3"]
+    assert by_name["sugar_box"] == [
+        "100.0",
+        "100.0",
+        "75.0",
+        "93.9",
+        "50.0",
+        "50.0",
+        "25.0",
+        "14.3",
+    ]
     mean = by_name["**mean**"]
     assert [cell.split()[0] for cell in mean] == [
-        "**100.0**", "**75.0**", "**91.9**", "**50.0**", "**25.0**", "**56.1**",
+        "**100.0**", "**100.0**", "**75.0**", "**91.9**",
+        "**50.0**", "**50.0**", "**25.0**", "**56.1**",
     ]  # fmt: skip
-    assert by_name["never lifted"] == ["0.0", "25.0", "4.9", "50.0", "75.0", "23.8"]
-    assert by_name["force per finger"] == ["2.0 N", "2.0 N", "", "2.0 N", "2.0 N", ""]
-    assert by_name["trials of each"] == ["8", "8", "448", "8", "8", "448"]
+    assert by_name["never lifted"] == ["0.0", "0.0", "25.0", "4.9", "50.0", "50.0", "75.0", "23.8"]
+    assert by_name["force per finger"] == [*3 * ["2.0 N"], "", *3 * ["2.0 N"], ""]
+    assert by_name["trials of each"] == [*3 * ["8"], "448", *3 * ["8"], "448"]
     assert list(by_name)[: len(NAMES)] == list(NAMES)
 
 

@@ -55,6 +55,7 @@ SCHEMA = "mjx_grasp.paper/1"
 LAST = "experiments/make_readme.py"
 QUICKLY = 64
 """Trials of an object and condition with `--quick` [-]"""
+_TRAIN = "mjx_grasp.train", "mjx_grasp.tune"
 _IN_MJX = "--engine", "mjx"
 _CORES_EACH = 2
 """Of processes that share a GPU: each compiles for minutes on one core, and then steps on all."""
@@ -286,7 +287,7 @@ def lane_of(command: str) -> str:
     What is timed on the GPU, trainings and all, has no neighbour there; and what is not takes as
     long beside another as the two take one after the other.
     """
-    on_gpu = TRIALS, FEWER, GRASPS, SHARERS, " ".join(_IN_MJX), "mjx_grasp.train"
+    on_gpu = TRIALS, FEWER, GRASPS, SHARERS, " ".join(_IN_MJX), *_TRAIN
     if has_gpu() and any(word in command for word in on_gpu):
         return "the GPU"
     return CORES if CORES in command or not has_gpu() else "one process"
@@ -328,7 +329,9 @@ def worded(command: str, scans: Path) -> list[str]:
             words += [*(_IN_MJX if gpu else ()), "--processes", str(beside)]
         elif f"{kind}:" not in (TRIALS, FEWER):
             word = re.sub(r"^(\d+)\|\d+$", r"\1", word)
-            words.append(" ".join(given.get(part, part) for part in word.split(" ")))
+            parts = word.split(" ")  # of a word with spaces, words that are split once more
+            told = [given.get(part, part) for part in parts]
+            words.append(told[0] if len(parts) == 1 else " ".join(map(_again, parts, told)))
         elif gpu:
             trials = str(QUICKLY if f"{kind}:" == FEWER else EPISODES)
             words += [*_IN_MJX, "--episodes", trials]
@@ -337,11 +340,16 @@ def worded(command: str, scans: Path) -> list[str]:
     return words
 
 
+def _again(part: str, told: str) -> str:
+    """A word within a word: what is put in for another stays whole."""
+    return told if told == part else shlex.quote(told)
+
+
 def _more_environment(command: str) -> dict[str, str]:
     """What a command's own environment has beside this one's."""
     if CORES in command:  # processes that share all cores would only wait for each other on a GPU
         return {"JAX_PLATFORMS": "cpu"}
-    if any(trains in command for trains in ("mjx_grasp.train", "mjx_grasp.tune")) or not has_gpu():
+    if any(trains in command for trains in _TRAIN) or not has_gpu():
         return {}
     # Kernels are not tried out for each function: only trainings run long enough to gain that back.
     own = os.environ.get("XLA_FLAGS", "")  # of two flags the later one counts

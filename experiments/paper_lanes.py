@@ -6,9 +6,12 @@ import shlex
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
 from typing import NamedTuple
 
 from paper_parts import Part
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 class Step(NamedTuple):
@@ -47,13 +50,16 @@ def steps_of(
 def needs(command: str, before: str) -> bool:
     """Whether a command reads what one before it in its part has made.
 
-    What names the other's file or folder does; what has no `--out`, figures and sums, reads them
-    all.
+    What names the other's file or folder does, by itself or in a plan of trainings; what has no
+    `--out`, figures and sums, reads them all.
     """
-    if "--out" not in shlex.split(command):
+    own, words = shlex.split(command), shlex.split(before)
+    if "--out" not in own:
         return True
-    words = shlex.split(before)
-    return "--out" in words and words[words.index("--out") + 1] in command
+    plans = [(ROOT / word).read_text() for word in own if word.endswith(".yaml")]
+    return "--out" in words and any(
+        words[words.index("--out") + 1] in text for text in (command, *plans)
+    )
 
 
 def in_lanes(steps: Sequence[Step], run: Callable[[Step], None]) -> None:

@@ -315,6 +315,7 @@ PARTS = (
             "--out experiments/results/paper_ablation.json",
         ),
         without_gpu="some weeks of a few cores",
+        not_quick="it trains",
         if_named="an hour and a half of one H200",
     ),
     Part(

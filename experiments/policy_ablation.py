@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.journal import goes_on
-from mjx_grasp.records.provenance import provenance
+from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
@@ -121,12 +122,13 @@ def changes(config: TrainConfig) -> dict[str, Any]:
 def evaluated(
     world: World, policy_file: Path, conditions: Mapping[str, StartNoise], config: AblationConfig
 ) -> list[dict[str, Any]]:
-    """One row per condition and budget; all trials in one compiled episode."""
+    """One row per condition and budget; trials that share compiled functions are one batch."""
     policy = load_policy(policy_file)
     asked = [(name, budget) for name in conditions for budget in config.budgets]
     noises = [replace(conditions[name], budget_n=(budget, budget)) for name, budget in asked]
-    task = policy_task(policy)
-    found = _tried(world, task, policy.controller(), noises, config)
+    task, found = policy_task(policy), []
+    for felt, own in groupby(noises, _felt):
+        found += _tried(world, task, policy.controller(), list(own), felt, config)
     return [
         {"condition": n, "budget_n": b} | sums for (n, b), sums in zip(asked, found, strict=True)
     ]
@@ -138,8 +140,19 @@ def squeezed(
     """What a squeeze lifts in a policy's task, nominally."""
     squeeze = EvaluateConfig(config.out, controller="squeeze", squeeze_force=force)
     own = model_based(task, squeeze)
-    (sums,) = _tried(world, own, None, [CONDITIONS["nominal"]], config)
+    nominal = CONDITIONS["nominal"]
+    (sums,) = _tried(world, own, None, [nominal], _felt(nominal), config)
     return {"condition": "nominal", "squeeze_n": force} | sums
+
+
+def _felt(noise: StartNoise) -> StartNoise:
+    """What a task is compiled for, so that a condition can be drawn in it.
+
+    That is whether objects are turned, how late commands may be, and errors of torque.
+    """
+    widest = CONDITIONS["other robot"]
+    late = max(noise.robot.latency_s) > max(widest.robot.latency_s)
+    return noise if noise.angle_rad or noise.robot.of_torque or late else widest
 
 
 def _tried(
@@ -147,6 +160,7 @@ def _tried(
     own: TaskConfig,
     controller: Controller | None,
     noises: Sequence[StartNoise],
+    felt: StartNoise,
     config: AblationConfig,
 ) -> list[dict[str, Any]]:
     """The figures of each condition; without a controller, of the task's command alone."""
@@ -156,8 +170,7 @@ def _tried(
     ]
     draw = jax.tree.map(lambda *parts: jnp.concatenate(parts), *draws)
     size = config.episodes * len(indices)
-    widest = CONDITIONS["other robot"]
-    task = world.task("mujoco", size, own, widest, with_privileged=False)
+    task = world.task("mujoco", size, own, felt, with_privileged=False)
     trials = run_trials(task, controller or zero_controller(task), draw, size)
     return [_sums(each, len(indices)) for each in by_object(trials, len(noises))]
 
@@ -191,13 +204,15 @@ def main(config: AblationConfig) -> None:
     squeeze = cache(lambda task, force: squeezed(world, task, force, config))
     kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
     rows = {row["run"]: row for row in kept["rows"]}
-    judged = to_record(replace(config, runs=(), out=Path()))
-    alike = bool(rows) and goes_on(kept, {"judged": judged}, made["git"])
+    asked = to_record(replace(config, runs=(), out=Path()))
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("runs", total=len(settings))
         for folder, trained in settings.items():
             begun = read_json(folder / "provenance.json", "the provenance of a run")
-            if alike and rows.get(folder.name, {}).get("trained") == begun:
+            files = {"handoffs": config.handoffs, "policy": folder / "policy.npz"}
+            judged = {"trained": begun, "asked": asked, "sha256": file_digests(**files)}
+            before = rows.get(folder.name, {})
+            if "provenance" in before and goes_on(before, judged, made["git"]):
                 bar.update(job, advance=1)
                 continue
             own = {"as trained": trained.noise} if config.as_trained else {}
@@ -206,14 +221,14 @@ def main(config: AblationConfig) -> None:
                 "changes": changes(trained),
                 "seed": trained.seed,
                 "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
-                "trained": begun,
+                **judged,
+                "provenance": made,
                 "evaluations": evaluated(world, folder / "policy.npz", CONDITIONS | own, config),
                 "squeezes": [squeeze(trained.task, force) for force in config.squeezes],
             }
             record = {
                 "schema": SCHEMA,
                 "settings": to_record(config),
-                "judged": judged,
                 "rows": list(rows.values()),
                 "provenance": made,
             }

@@ -135,6 +135,17 @@ def test_squeezes_have_the_task_of_the_policy_where_asked(tmp_path, monkeypatch)
     assert given == [None, ClosingTaskConfig(episode_s=2.0)]
 
 
+def test_squeezes_in_the_task_of_another_policy_are_not_known(script, first, tmp_path):
+    own = replace(first, out=tmp_path / "own.json", own_task=True)
+    script.main(own)
+    script.ran.clear()
+    script.main(replace(own, out=tmp_path / "same.json", known=(own.out,)))
+    assert not script.ran
+    of_another_policy(own.out)
+    script.main(replace(own, out=tmp_path / "other.json", known=(own.out,)))
+    assert len(script.ran) == 2 * (script.policies + 3)
+
+
 def test_what_is_known_of_other_tasks_is_refused(script, first, tmp_path):
     asked = replace(first, out=tmp_path / "x.json", known=(first.out,), own_task=True)
     with pytest.raises(FileError, match=r"own_task False.*True, as asked for now"):

@@ -207,6 +207,25 @@ def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monke
     write_json(one / "provenance.json", {"command": "another training"})
     module.main(replace(config, runs=(plan,), episodes=8))
     assert [name for name, _ in judged] == ["a-seed0", "a-seed1", "a-seed0"]
+    # Killed after the first row of another revision: the rows of the old one are made again.
+    judged.clear()
+    made["git"] = "1" * 40
+    stops = {"a-seed1"}
+
+    def killed(world, policy, conditions, config):
+        if policy.parent.name in stops:
+            raise KeyboardInterrupt
+        return evaluated(world, policy, conditions, config)
+
+    monkeypatch.setattr(module, "evaluated", killed)
+    with pytest.raises(KeyboardInterrupt):
+        module.main(replace(config, runs=(plan,), episodes=8))
+    stops.clear()
+    module.main(replace(config, runs=(plan,), episodes=8))
+    assert [name for name, _ in judged] == ["a-seed0", "a-seed1"]
+    turned = replace(settings_of("paper").noise, angle_rad=0.1)
+    assert module._felt(turned) is turned
+    assert module._felt(settings_of("paper").noise) is module.CONDITIONS["other robot"]
 
 
 def test_the_table_of_steered_grasps_pairs_them(tmp_path, monkeypatch):

@@ -199,6 +199,20 @@ def test_words_within_a_word_are_told_too(paper, tmp_path, monkeypatch):
     scans = paper.module.ROOT / "scans"
     *_, last = paper.module.worded("-m x --flags '--objects-dir SCANS --seed 1'", scans)
     assert last == "--objects-dir scans --seed 1"
+    spaced = paper.module.ROOT / "my scans"
+    *_, last = paper.module.worded("-m x --flags '--objects-dir SCANS --seed 1'", spaced)
+    assert shlex.split(last) == ["--objects-dir", "my scans", "--seed", "1"]
+
+
+def test_trainings_of_a_plan_wait_for_the_states_that_it_names_and_have_the_gpu(paper, monkeypatch):
+    module = paper.module
+    (part,) = [one for one in script("paper_parts").PARTS if one.name == "paper-ablation"]
+    monkeypatch.setattr(module, "has_gpu", lambda: True)
+    steps = module.steps_of([part], lambda command: True, module.lane_of)
+    states, judges, tune, judged = steps
+    assert tune.after == {states.command} and tune.lane == states.lane == "the GPU"
+    assert judged.after == {judges.command, tune.command}
+    assert part.not_quick and part.if_named
 
 
 FULL = "b.py TRIALS:8 --in 64|16 --out README.md"

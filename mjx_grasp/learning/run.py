@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -102,7 +102,8 @@ def train_together(
 
     Raises:
         TrainingDiverged: A NaN in a training's loss or parameters. The state before it was
-            checkpointed, the one after it is in `diverged.npz`.
+            checkpointed, the one after it is in `diverged.npz`; the others are checkpointed after
+            it, so that they can go on without it.
         KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
     devices, count = env.devices, len(members)
@@ -130,6 +131,13 @@ def train_together(
     state = members[0].state
     if count > 1:
         state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(m.state for m in members))
+    runs = [(m.folder, m.config) for m in members]
+    del members  # the states are in one now
+
+    def save(k: int) -> None:
+        folder, config = runs[k]
+        save_checkpoint(folder / "checkpoints", own(state, k), env, config)
+
     with InterruptGuard() as interrupt, ExitStack() as closed, _progress(devices.writes) as shown:
         for log in logs:
             closed.enter_context(closing(log))
@@ -139,9 +147,14 @@ def train_together(
             state, metrics = iteration(state)
             found, learnt = jax.device_get((metrics, (state.params, state.normalizer)))
             now = time.monotonic()
-            for k, (member, log) in enumerate(zip(members, logs, strict=True)):
-                row = {name: float(x) for name, x in own(found, k).items()}
-                _guard(member.folder, i + 1, own(learnt, k), row, devices.writes)
+            rows = [{n: float(x) for n, x in own(found, k).items()} for k in range(count)]
+            bad = [k for k, row in enumerate(rows) if _diverged(row, own(learnt, k))]
+            if bad:
+                for k in range(count):
+                    if k not in bad:
+                        save(k)
+                _stop(runs[bad[0]][0], i + 1, own(learnt, bad[0]), devices.writes)
+            for k, (row, log) in enumerate(zip(rows, logs, strict=True)):
                 row |= {
                     "iteration": i + 1,
                     "env_steps": (i + 1) * ppo.steps_per_iteration,
@@ -155,7 +168,7 @@ def train_together(
                 for name in counted:
                     counted[name] += row[name]
                 if row["broken_worlds"] and devices.writes:
-                    _dump_incident(member.folder, own(state, k), env, i + 1)
+                    _dump_incident(runs[k][0], own(state, k), env, i + 1)
             said = _describe(count * ppo.steps_per_iteration / (now - tick), recent, counted)
             shown.update(task, completed=i + 1, description=said)
             due, stop = devices.agreed(
@@ -165,9 +178,8 @@ def train_together(
                 interrupt.requested,
             )
             if due or stop or i + 1 == ppo.iterations:
-                for k, member in enumerate(members):
-                    folder = member.folder / "checkpoints"
-                    save_checkpoint(folder, own(state, k), env, member.config)
+                for k in range(count):
+                    save(k)
                 saved = time.monotonic()
             if stop:
                 raise KeyboardInterrupt(f"interrupted after iteration {i + 1}, which is kept")
@@ -210,26 +222,27 @@ def _describe(
     return text
 
 
-def _guard(folder: Path, iteration: int, learnt: Any, row: dict[str, float], writes: bool) -> None:
-    """Stops a training whose numbers are no numbers, before they reach a checkpoint.
+def _diverged(row: dict[str, float], learnt: Any) -> bool:
+    """Whether the numbers of a training are no numbers; learnt: parameters and normaliser."""
+    leaves = jax.tree.leaves(learnt[0])
+    return not (np.isfinite(row["total_loss"]) and all(np.isfinite(x).all() for x in leaves))
+
+
+def _stop(folder: Path, iteration: int, learnt: Any, writes: bool) -> NoReturn:
+    """Stops a training that has diverged, before that reaches a checkpoint.
 
     Args:
         folder: Of the run.
         iteration: How many are done.
         learnt: Parameters and normaliser.
-        row: The iteration's figures.
         writes: Whether this process writes files.
 
     Raises:
-        TrainingDiverged: The loss or a parameter is not finite.
+        TrainingDiverged: Always.
     """
-    params, normalizer = learnt
-    leaves = jax.tree.leaves(params)
-    if np.isfinite(row["total_loss"]) and all(np.isfinite(x).all() for x in leaves):
-        return
     path = folder / "diverged.npz"
     if writes:
-        _save_arrays(path, {"params": params, "normalizer": normalizer})
+        _save_arrays(path, dict(zip(("params", "normalizer"), learnt, strict=True)))
     kept = checkpoints(folder / "checkpoints")
     newest = kept[-1].name if kept else "none yet"
     raise TrainingDiverged(

@@ -18,7 +18,7 @@ from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.shipped import shipped_for, take_shipped
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
-from mjx_grasp.learning.checkpoint import checkpoints, newest_checkpoint, restore_checkpoint
+from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.devices import Devices, find_devices
 from mjx_grasp.learning.log import require_wandb
@@ -79,11 +79,11 @@ def run_together(
     """Runs trainings that differ in their seed alone, in step, and returns their folders.
 
     Each learns from worlds of its own, and the worlds of all are stepped together: where one has
-    too few to fill a GPU, several take hardly longer. Of those that are resumed all go on from the
-    newest checkpoint that all have, or begin anew.
+    too few to fill a GPU, several take hardly longer. Those that are resumed have to stand at the
+    same iteration.
 
     Args:
-        configs: The settings; several have to name --handoffs.
+        configs: The settings; several have to name --handoffs, and folders of their own.
         console: For progress and tables.
         extra_terms: Reward terms beside the task's own.
         commands: What the files of each say they were made by; by default what started this
@@ -167,29 +167,37 @@ def _check_alike(configs: Sequence[TrainConfig], devices: Devices) -> None:
         return
     for config in configs:
         if replace(config, seed=first.seed, out=first.out, resume=first.resume) != first:
-            raise InputError("configs", "trainings of other settings", "one setting, several seeds")
+            found = f"settings of {config.resume or config.out} that differ from the others'"
+            raise InputError("configs", found, "one setting, several seeds")
+    folders = {config.resume or config.out for config in configs}
+    if None in folders or len(folders) < len(configs):
+        raise InputError("--out", "the same for several trainings", "a folder for each")
     if first.handoffs is None:
         raise InputError("--handoffs", "nothing", "start states that several trainings share")
+    if first.loop.wandb_project is not None:
+        expected = "nothing: a process has one run of Weights & Biases"
+        raise InputError("--loop.wandb-project", first.loop.wandb_project, expected)
     if devices.count > 1:
         raise InputError("--devices", devices.count, "one for trainings that go on in step")
 
 
 def _to_resume(configs: Sequence[TrainConfig]) -> list[Path | None]:
-    """The checkpoint from which each goes on; of several all from the same iteration."""
+    """The checkpoint from which each goes on, if it is resumed and has one.
+
+    Raises:
+        FileError: They stand at different iterations.
+    """
     found = [
         newest_checkpoint(config.resume / "checkpoints") if config.resume else None
         for config in configs
     ]
-    if len({None if path is None else path.name for path in found}) == 1:
-        return found
-    kept = [
-        {path.name: path for path in checkpoints(config.resume / "checkpoints")}
-        if config.resume
-        else {}
-        for config in configs
-    ]
-    common = set.intersection(*(set(paths) for paths in kept))
-    return [paths[max(common)] if common else None for paths in kept]
+    first = found[0]
+    for config, path in zip(configs, found, strict=True):
+        if (path and path.name) != (first and first.name):
+            stands = path.name if path else "no checkpoint"
+            expected = f"{first.name if first else 'none'}, as {configs[0].resume} has"
+            raise FileError(config.resume or Path("runs"), stands, expected)
+    return found
 
 
 class Given(NamedTuple):

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -27,6 +27,7 @@ from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
+from mjx_grasp.learning.checkpoint import checkpoints
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import provenance
@@ -56,7 +57,7 @@ class TuneConfig(CommandSettings):
     out: Path
     """folder of the runs and of their table; what is finished there is kept"""
     flags: str = ""
-    """more flags of `train` for all of them, such as "--objects-dir SCANS" """
+    """more flags of `train` for all of them, such as --flags="--objects-dir SCANS" """
     gpus: NonNegative | None = None
     """of each training, 0.5 for two on one; None: one where there is a GPU, none elsewhere [-]"""
     cpus: Positive = 1.0
@@ -88,6 +89,7 @@ def read_plan(path: Path, more: str = "") -> list[Run]:
         more: Flags that all have beside its own.
 
     Raises:
+        InputError: These are none, or stand in the plan.
         FileError: It is no plan, or two of its trainings have the same name.
     """
     try:
@@ -112,18 +114,37 @@ def read_plan(path: Path, more: str = "") -> list[Run]:
     except (OSError, yaml.YAMLError, ValueError) as error:
         said = " ".join(str(error).split())
         raise FileError(path, f"no plan ({said})", _PLAN) from None
+    taken = {*common, *(flag for of in settings.values() for flag in of)}
+    words = _more_flags(more, taken | ({"objects"} if any(objects.values()) else set()))
     runs = []
     for setting, group, seed in itertools.product(settings, objects, seeds):
         of = common | settings[setting] | {"seed": seed}
         if objects[group]:
             of |= {"objects": objects[group]}
         name = "-".join(part for part in (setting, group, f"seed{seed}") if part)
-        runs.append(Run(name, setting, group, seed, (*as_flags(of), *shlex.split(more))))
+        runs.append(Run(name, setting, group, seed, (*as_flags(of), *words)))
     for name, count in Counter(run.name for run in runs).items():
         if count > 1:
             expected = "names of settings and objects that make one of their own for each"
             raise FileError(path, f"{count} trainings with the name {name}", expected)
     return runs
+
+
+def _more_flags(more: str, taken: Collection[str]) -> list[str]:
+    """Words of a command line, whose flags a plan does not have.
+
+    Raises:
+        InputError: They cannot be split, or a flag is the plan's.
+    """
+    try:
+        words = shlex.split(more)
+    except ValueError as error:
+        raise InputError("--flags", more, f"words of a command line ({error})") from None
+    for word in words:
+        flag = word.partition("=")[0].removeprefix("--")
+        if word.startswith("--") and (flag in taken or flag in _OWN):
+            raise InputError("--flags", word, "flags that are not the plan's")
+    return words
 
 
 def _mapping(name: str, value: Any) -> dict[Any, Any]:
@@ -268,6 +289,9 @@ def _check(config: TuneConfig, runs: Sequence[Run]) -> None:
     """
     if not runs:
         return
+    for group in _groups(config, runs):
+        if len(group) > 1 and not any(flag.startswith("--handoffs") for flag in group[0].flags):
+            raise InputError("--together", f"{group[0].setting} without --handoffs", "start states")
     work = [list(run.flags) for run in runs], os.getcwd()
     if config.address is None:
         said = refusals(*work)
@@ -366,20 +390,39 @@ def train(folders: list[str], flags: list[list[str]], cwd: str) -> None:
     """Trainings in a process of their own: from the start, or from where they were cut short."""
     os.chdir(cwd)
     wanted = [(Path(at), of) for at, of in zip(folders, flags, strict=True) if not finished(at)]
-    if not wanted:
-        return
-    if not all((at / "provenance.json").exists() for at, _ in wanted):
-        for at, _ in wanted:
-            _clear(at)  # cut short while they were opened
-    words = [["--resume", str(at)] if at.exists() else [*of, "--out", str(at)] for at, of in wanted]
+    groups: dict[str, list[tuple[Path, list[str]]]] = {}
+    for at, of in wanted:
+        groups.setdefault(_stands_at(at), []).append((at, of))
+    failed: MjxGraspError | None = None
+    for group in groups.values():
+        try:
+            _train_group(group)
+        except MjxGraspError as error:
+            failed = error  # the others are not to wait for it
+    if failed is not None:
+        raise failed
+
+
+def _stands_at(folder: Path) -> str:
+    """What a training has come to: trainings that go on in step have to begin alike."""
+    if not (folder / "provenance.json").exists():
+        _clear(folder)  # cut short while it was opened
+        return "not begun"
+    kept = checkpoints(folder / "checkpoints")
+    return kept[-1].name if kept else "begun"
+
+
+def _train_group(group: Sequence[tuple[Path, list[str]]]) -> None:
+    """Trains in step."""
+    words = [["--resume", str(at)] if at.exists() else [*of, "--out", str(at)] for at, of in group]
     shown = [
         [os.path.relpath(word) if word == str(at) else word for word in of]
-        for of, (at, _) in zip(words, wanted, strict=True)
+        for of, (at, _) in zip(words, group, strict=True)
     ]
     commands = [shlex.join([*_COMMAND, *of]) for of in shown]
     with open(os.devnull, "w") as nowhere:
         run_together([parse(of) for of in words], Console(file=nowhere), commands=commands)
-    for at, of in wanted:
+    for at, of in group:
         write_json(at / "finished.json", {"flags": of})
 
 
@@ -391,7 +434,7 @@ def _clear(folder: Path) -> None:
     """
     if not folder.exists():
         return
-    opened = ("config.json", "provenance.json", "handoffs", ".")
+    opened = ("config.json", "handoffs", ".")
     if others := sorted(p.name for p in folder.iterdir() if not p.name.startswith(opened)):
         raise FileError(folder, f"{others[0]} and no training", "a training, or no such folder")
     shutil.rmtree(folder)

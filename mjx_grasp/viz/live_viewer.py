@@ -271,6 +271,7 @@ class LiveViewer:
                 live.prepare(self._subject(obj.name).known, at.append)
             except Exception:
                 del self._objects[obj.name]
+                self._subjects.pop(obj.name, None)
                 raise
         before, self.live = self.live, live
         before.close()

@@ -22,7 +22,7 @@ from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
 from mjx_grasp.language.grounding import Target, target_of
-from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.objects.catalogue import find_objects, load_catalogue
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.folder import MeshFile
 from mjx_grasp.objects.meshes import read_mesh
@@ -142,7 +142,8 @@ def load_live(config: ViewConfig) -> LiveGrasp:
     # With scores of an anchor the best half decides; without one that is no loss.
     grasper = loaded_grasper(robot, file, steered=True)
     names = [str(config.mesh), *config.also]
-    weight = Weight(config.mass, config.density)
+    meshes = any(asked.file is not None for asked in find_objects(names))
+    weight = Weight(config.mass, config.density) if meshes else None  # else of dropped ones alone
     scene = build_scene(load_objects(names, config.objects_dir, weight=weight), robot)
     return LiveGrasp(grasper, NativePhysics(scene, grasper.dt, threads=1))
 

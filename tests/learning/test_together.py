@@ -12,8 +12,9 @@ import tiny_training as tiny
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.errors import InputError
+from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
+from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.ppo import init_state
 from mjx_grasp.learning.run import LoopConfig, Member, TrainingDiverged, train_loop, train_together
 from mjx_grasp.training import job
@@ -82,6 +83,8 @@ def test_one_that_diverges_is_named(env, tmp_path):
             [a, b._replace(state=b.state._replace(params=bad))], env, tiny.ppo(2), LoopConfig()
         )
     assert (b.folder / "diverged.npz").exists() and not (a.folder / "diverged.npz").exists()
+    (kept,) = checkpoints(a.folder / "checkpoints")
+    assert kept.name.endswith("1") and not checkpoints(b.folder / "checkpoints")
 
 
 def configs(tmp_path, *flags):
@@ -98,40 +101,43 @@ def configs(tmp_path, *flags):
     [
         ({"mass": 0.2}, "one setting, several seeds"),
         ({"handoffs": None}, "--handoffs"),
+        ({"out": None}, "--out: found 'the same"),
+        ({"loop": LoopConfig(wandb_project="grasps")}, "--loop.wandb-project"),
     ],
 )
-def test_what_cannot_go_on_in_step_is_refused(tmp_path, change, says):
+def test_what_cannot_go_on_in_step_is_refused(tmp_path, monkeypatch, change, says):
     first, second = configs(tmp_path)
-    if "handoffs" in change:
+    monkeypatch.setattr(job, "require_wandb", lambda project: None)
+    if "mass" not in change:
         first = dataclasses.replace(first, **change)
     with pytest.raises(InputError, match=says):
         job.run_together([first, dataclasses.replace(second, **change)], Console(quiet=True))
     assert not list(tmp_path.iterdir())
 
 
-def test_all_go_on_from_the_newest_checkpoint_that_all_have(tmp_path, monkeypatch):
+def test_trainings_that_stand_at_different_iterations_are_refused(tmp_path, monkeypatch):
     first, second = (
         dataclasses.replace(c, resume=tmp_path / str(k)) for k, c in enumerate(configs(tmp_path))
     )
-    has = {"0": (10, 20), "1": (20, 30)}
+    at = {"0": "iteration_20", "1": "iteration_20"}
 
-    def kept(folder):
-        return [folder / f"iteration_{k:08d}" for k in has[folder.parent.name]]
+    def newest(folder):
+        name = at[folder.parent.name]
+        return None if name is None else folder / name
 
-    monkeypatch.setattr(job, "checkpoints", kept)
-    monkeypatch.setattr(job, "newest_checkpoint", lambda folder: (kept(folder) or [None])[-1])
-    assert [p.name[-2:] for p in job._to_resume([first, second])] == ["20", "20"]
-    has["1"] = (20,)
-    assert [p.name[-2:] for p in job._to_resume([first, second])] == ["20", "20"]
-    has["1"] = (30,)
-    assert job._to_resume([first, second]) == [None, None]
-    has["1"] = ()
+    monkeypatch.setattr(job, "newest_checkpoint", newest)
+    assert [path.name for path in job._to_resume([first, second])] == 2 * ["iteration_20"]
+    for other, stands in (("iteration_30", "iteration_30"), (None, "no checkpoint")):
+        at["1"] = other
+        with pytest.raises(FileError, match=f"1: found {stands}, expected iteration_20"):
+            job._to_resume([first, second])
+    at["0"] = None
     assert job._to_resume([first, second]) == [None, None]
     assert job._to_resume([dataclasses.replace(first, resume=None)]) == [None]
 
 
 @pytest.mark.long
-def test_runs_are_those_of_single_trainings(tmp_path):
+def test_runs_in_mjx_are_those_of_single_trainings(tmp_path):
     small = ["--ppo.worlds", "4", "--ppo.minibatches", "2", "--ppo.unroll", "4"]
     small += ["--ppo.iterations", "2", "--evaluation-episodes", "0", "--engine", "mjx"]
     folders = job.run_together(configs(tmp_path, *small), Console(quiet=True))
@@ -140,3 +146,10 @@ def test_runs_are_those_of_single_trainings(tmp_path):
     for a, b in itertools.pairwise(folders):
         assert (a / "policy.npz").read_bytes() != (b / "policy.npz").read_bytes()
         assert (a / "config.json").read_text() != (b / "config.json").read_text()
+    (tmp_path / "alone").mkdir()
+    for config, folder in zip(configs(tmp_path / "alone", *small), folders, strict=True):
+        job.run_training(config, Console(quiet=True))
+        alone, mine = (load_policy(at / "policy.npz") for at in (config.out, folder))
+        leaves = [jax.tree.leaves((p.params, p.normalizer)) for p in (alone, mine)]
+        for x, y in zip(*leaves, strict=True):
+            np.testing.assert_allclose(x, y, atol=5e-3)

@@ -60,6 +60,11 @@ def test_every_combination_is_a_training(plan):
         assert flag in words
     more = read_plan(plan, "--objects-dir 'my scans'")
     assert [run.flags for run in more] == [(*r.flags, "--objects-dir", "my scans") for r in runs]
+    for wrong in ("--seed 5", "--objects mug", "--ppo.iterations=3"):
+        with pytest.raises(InputError, match=r"--flags: .*not the plan's"):
+            read_plan(plan, wrong)
+    with pytest.raises(InputError, match=r"--flags: .*No closing quotation"):
+        read_plan(plan, "--objects-dir 'my")
     assert words.endswith("--objects rubiks_cube foam_brick")
     assert "forces" not in " ".join(runs[0].flags)
 
@@ -319,14 +324,22 @@ def test_seeds_that_are_trained_together_are_one_process(tmp_path, trainings, mo
         trainings.clear()
         return asked
 
-    new = [["--seed", "1", "--out", str(folders[1])], ["--seed", "0", "--out", str(folders[2])]]
-    assert train() == new
+    begun, new = ["--resume", str(folders[1])], ["--seed", "0", "--out", str(folders[2])]
+    assert train() == [begun, new], "what has begun goes on, apart from what has not"
     for folder in folders[1:]:
         (folder / "finished.json").unlink()
         folder.mkdir(exist_ok=True)
         (folder / "provenance.json").touch()
     assert train() == [["--resume", str(folder)] for folder in folders[1:]]
     assert train() == [] and all((f / "finished.json").exists() for f in folders)
+
+
+def test_seeds_together_need_start_states(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("settings: {a: {preset: cpu}}\nseeds: [0, 1]")
+    with pytest.raises(InputError, match="--together: found 'a without --handoffs'"):
+        tune(TuneConfig(path, tmp_path / "out", together=True), Console(quiet=True))
+    assert not (tmp_path / "out").exists()
 
 
 def metrics(folder, success, force):

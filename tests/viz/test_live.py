@@ -4,6 +4,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import handmade
@@ -16,6 +17,7 @@ from mjx_grasp.closing.config import REACTING, CloserConfig
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
+from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.resting import RestingPose
 from mjx_grasp.pipeline.assemble import known_object
 from mjx_grasp.pipeline.config import GrasperConfig
@@ -259,6 +261,25 @@ def test_a_mesh_that_is_dropped_on_the_page_is_grasped_like_the_others(live, obj
         wait(lambda: viewer.live.object_pose[0][2] == pytest.approx(THERE[2]))
     with served(live, ready=False) as viewer:
         assert not viewer.upload.visible
+
+
+def test_what_meshes_weigh_may_be_of_dropped_ones_alone(tmp_path, monkeypatch):
+    """Of the catalogue's objects it is refused elsewhere."""
+    from mjx_grasp.viz import viewing
+
+    weights = []
+    nothing = SimpleNamespace(dt=0.01)
+    for name in ("loaded_grasper", "build_scene", "NativePhysics", "LiveGrasp"):
+        monkeypatch.setattr(viewing, name, lambda *_, **__: nothing)
+    monkeypatch.setattr(viewing, "closing_policy", lambda *_: None)
+    monkeypatch.setattr(viewing, "load_objects", lambda *_, weight: weights.append(weight))
+    mesh = tmp_path / "jug.stl"
+    handmade.box("jug").mesh.export(mesh)
+    config = viewing.ViewConfig(Path("mug"), live=True, mass=0.2)
+    viewing.load_live(config)
+    viewing.load_live(replace(config, also=(str(mesh),)))
+    assert weights == [None, Weight(0.2, None)]
+    assert viewing.own_object(config, mesh).mass == pytest.approx(0.2)
 
 
 def test_a_grasp_that_is_stopped_while_it_is_planned_ends_and_says_so(live, monkeypatch):

@@ -139,6 +139,7 @@ PARTS = (
         "default against anchored selection, and the grasps that come of it",
         (
             "experiments/steering_figure.py --objects-dir SCANS",
+            "experiments/steered_trials_figure.py --objects-dir SCANS",
             "experiments/steering_numbers.py --objects-dir SCANS",
             "experiments/steered_grasps.py --objects-dir SCANS --poses 4|1 GRASPS",
         ),

@@ -146,4 +146,4 @@ def sheet(rows: list[dict[str, Any]], strips: list[list[Frame]], width: int) -> 
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(TrialsConfig, description=__doc__)))
+    run_command(lambda: main(tyro.cli(TrialsConfig, description=__doc__)), alone=True)

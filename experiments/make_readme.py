@@ -133,7 +133,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
-            "grip-sweep": closing_tables.grip_sweep(folder / "grip_sweep.json"),
+            "grip-sweep": closing_tables.grip_sweep(folder / "grip" / "sweep.json"),
             "paper-ablation": policy_tables.paper_ablation(folder / "paper_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),
             "end-to-end": end_to_end_tables.success_from_home(folder),

@@ -99,3 +99,21 @@ def test_all_training_objects_are_summed_up_without_held_out_ones(tables, tmp_pa
         each["friction"] = 0.5
     path.write_text(json.dumps(record))
     assert tables.all_objects(tmp_path) == tables.NOTHING
+
+
+def test_the_grip_is_swept_over_its_least_force_and_friction(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    table, rows = script("closing_tables").grip_sweep, []
+    for force, friction, successes in ((2.5, 0.4, 6), (1.0, 0.4, 4), (1.0, 0.3, 8)):
+        for offset, fewer in ((5.0, 0), (10.0, 4)):
+            about = {"grip_force_n": force, "grip_friction": friction}
+            rows.append(row("apple", "grip", successes - fewer, None, offset=offset, **about))
+    written(tmp_path / "sweep.json", *rows)
+    header, _, *lines = map(cells, table(tmp_path / "sweep.json").splitlines())
+    assert header == ["least force N", "counts on friction", "±5 mm, friction 0.8",
+                      "±10 mm, friction 0.8"]  # fmt: skip
+    assert [line[:2] for line in lines] == [["1", "0.3"], ["1", "0.4"], ["2.5", "0.4"]]
+    assert [line[2].split()[0] for line in lines] == ["100.0", "50.0", "75.0"]
+    assert [line[3].split()[0] for line in lines] == ["50.0", "0.0", "25.0"]
+    assert all(line[2].endswith("at 2.0") for line in lines)
+    assert table(tmp_path / "none.json") == script("closing_tables").NOTHING

@@ -330,6 +330,13 @@ def _shares_within(forces: np.ndarray) -> list[float]:
     return [100.0 * float(np.mean(forces <= budget)) for budget in _BUDGETS_N]
 
 
+def by_condition(paths: Sequence[Path]) -> str:
+    """Means of controllers, a column per condition."""
+    if not all(path.exists() for path in paths):
+        return NOTHING
+    return "\n\n".join(_means_by_engine(read_groups(paths)))
+
+
 def _means_by_engine(groups: Groups) -> list[str]:
     """A table per engine and set of objects: controllers against conditions."""
     blocks: dict[str, dict[str, dict[str, str]]] = {}

@@ -133,6 +133,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "told": policy_tables.told(folder),
             "newcomers": policy_tables.newcomers(folder),
             "policy-ablation": policy_tables.ablation(folder / "policy_ablation.json"),
+            "paper-conditions": closing_tables.by_condition(
+                [folder / "paper_preset" / f"{name}.json" for name in ("eight", "conditions")]
+            ),
             "grip-sweep": closing_tables.grip_sweep(folder / "grip" / "sweep.json"),
             "paper-ablation": policy_tables.paper_ablation(folder / "paper_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),

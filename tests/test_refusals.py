@@ -161,7 +161,6 @@ def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused)
         ("view", ("teapot", "--live"), "object: found 'teapot'"),
         ("view", ("heatmap.npz", "--live"), "heatmap.npz"),
         ("view", ("rubiks_cube", "--live", "--also", "teapot"), "object: found 'teapot'"),
-        ("view", ("rubiks_cube", "--live", "--mass", "1"), "--mass or --density"),
         ("view", ("rubiks_cube", "--live", "--policy", "none.npz"), "none.npz"),
         ("view", ("rubiks_cube", "--controller", "grip"), "--live beside it"),
         ("view", ("mesh.obj", "--also", "mug"), "--also: found ('mug',), expected --live"),

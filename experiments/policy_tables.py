@@ -96,7 +96,7 @@ def squeeze_at(force: float, squeezes: Sequence[Column]) -> str:
 
     Beyond the hardest it says from where on; empty below the lightest.
     """
-    points = sorted((c.forces()[0] or 0.0, c.mean()[0]) for c in squeezes)
+    points = sorted((c.forces()[0] or 0.0, c.success()) for c in squeezes)
     if not points or force < points[0][0]:
         return ""
     hardest, most = points[-1]
@@ -158,7 +158,7 @@ def choice(folder: Path, runs: Path) -> str:
             (budget,) = {r.force_budget_n for c in columns for r in c.rows.values()}
             if budget is None:
                 raise FileError(path, "a policy without a force budget", "one that is given some")
-            cells = (f"{c.mean()[0]:.1f} at {c.forces()[0]:.2f}" for c in columns)
+            cells = (f"{c.success():.1f} at {c.forces()[0]:.2f}" for c in columns)
             lines.append((path.stem, _flags(row), str(row["seed"]), f"{budget:g}", *cells))
     header = (
         "run",
@@ -204,7 +204,7 @@ def told(folder: Path) -> str:
                         f"{_budget(column):g}",
                         name,
                         f"{trials:,}",
-                        f"{of.mean()[0]:.1f} at {of.forces()[0]:.2f}",
+                        f"{of.success():.1f} at {of.forces()[0]:.2f}",
                         *(f"{_within(of, force):.1f}" for force in (3.0, 4.0)),
                     )
                 )
@@ -247,7 +247,7 @@ def _within_own_budget(paths: tuple[Path, Path], names: tuple[str, str]) -> str:
         cells = []
         for column in pair:
             cells += [
-                f"{column.mean()[0]:.1f} at {column.forces()[0]:.2f}",
+                f"{column.success():.1f} at {column.forces()[0]:.2f}",
                 f"{_within(column, budget):.1f}",
             ]
         count = f"{trials.success.shape[1]:,}"
@@ -304,7 +304,7 @@ def newcomers(folder: Path) -> str:
         row, cells = trained.get(run), []
         for column in (found[run, budget] for budget in budgets):
             peaks = [f"{row.force_peak_p99_n:.0f}" for row in column.rows.values()]
-            cells += [f"{column.mean()[0]:.1f} at {column.forces()[0]:.2f}", ", ".join(peaks)]
+            cells += [f"{column.success():.1f} at {column.forces()[0]:.2f}", ", ".join(peaks)]
         flags, seed = (_flags(row), str(row["seed"])) if row else ("as it begins", "")
         lines.append((run or "none", flags, seed, *cells))
     header = ("run", "its own flags", "seed")

@@ -80,6 +80,10 @@ class Column(NamedTuple):
     family: str = ""
     """What columns that differ in their force alone have in common."""
 
+    def success(self) -> float:
+        """Mean success over the objects [%]."""
+        return mean_success(list(self.rows.values()))[0]
+
     def mean(self) -> tuple[float, tuple[float, float]]:
         """Mean success over the objects and its 95 % interval [%].
 

@@ -184,7 +184,10 @@ def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monke
         return []
 
     squeezed = []
-    nothing = lambda *_, **__: SimpleNamespace(object_names=())  # noqa: E731
+
+    def nothing(*_, **__):
+        return SimpleNamespace(object_names=())
+
     for name in ("load_robot", "load_handoffs", "build_scene_of", "states_of", "build_world"):
         monkeypatch.setattr(module, name, nothing)
     monkeypatch.setattr(module, "eligible", lambda *_: ((), ()))

@@ -78,19 +78,6 @@ class Member(NamedTuple):
     """of the run, kept with its checkpoints"""
 
 
-def train_loop(
-    folder: Path,
-    state: TrainState,
-    env: BraxTask,
-    ppo: PPOConfig,
-    loop: LoopConfig,
-    run_config: dict[str, Any],
-) -> TrainState:
-    """Runs the iterations that are left of one training; see `train_together`."""
-    (state,) = train_together([Member(folder, state, run_config)], env, ppo, loop)
-    return state
-
-
 def train_together(
     members: Sequence[Member], env: BraxTask, ppo: PPOConfig, loop: LoopConfig
 ) -> list[TrainState]:
@@ -131,11 +118,9 @@ def train_together(
     state = members[0].state
     if count > 1:
         state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(m.state for m in members))
-    runs = [(m.folder, m.config) for m in members]
-    del members  # the states are in one now
 
     def save(k: int) -> None:
-        folder, config = runs[k]
+        folder, _, config = members[k]
         save_checkpoint(folder / "checkpoints", own(state, k), env, config)
 
     with InterruptGuard() as interrupt, ExitStack() as closed, _progress(devices.writes) as shown:
@@ -153,7 +138,7 @@ def train_together(
                 for k in range(count):
                     if k not in bad:
                         save(k)
-                _stop(runs[bad[0]][0], i + 1, own(learnt, bad[0]), devices.writes)
+                _stop(members[bad[0]].folder, i + 1, own(learnt, bad[0]), devices.writes)
             for k, (row, log) in enumerate(zip(rows, logs, strict=True)):
                 row |= {
                     "iteration": i + 1,
@@ -168,7 +153,7 @@ def train_together(
                 for name in counted:
                     counted[name] += row[name]
                 if row["broken_worlds"] and devices.writes:
-                    _dump_incident(runs[k][0], own(state, k), env, i + 1)
+                    _dump_incident(members[k].folder, own(state, k), env, i + 1)
             said = _describe(count * ppo.steps_per_iteration / (now - tick), recent, counted)
             shown.update(task, completed=i + 1, description=said)
             due, stop = devices.agreed(

@@ -30,7 +30,7 @@ from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint, save_checkpoint
 from mjx_grasp.learning.devices import AXIS, ONE_DEVICE, Devices, RunOn, find_devices, join_hosts
 from mjx_grasp.learning.ppo import init_state, make_iteration
-from mjx_grasp.learning.run import LoopConfig, train_loop
+from mjx_grasp.learning.run import LoopConfig
 
 
 class Twins(Devices):
@@ -140,7 +140,7 @@ def goes_on(folder, count, iterations):
     if kept:
         state, stood = restore_checkpoint(kept[-1], state, env)
         print("from", int(state.iteration), stood, flush=True)
-    train_loop(folder, state, env, config, LoopConfig(checkpoint_every=1), tiny.CONFIG)
+    tiny.train_loop(folder, state, env, config, LoopConfig(checkpoint_every=1), tiny.CONFIG)
 
 
 def processes(folder, coordinator, count, process, iterations):
@@ -155,7 +155,7 @@ def processes(folder, coordinator, count, process, iterations):
     if kept:
         state, goes_on = restore_checkpoint(kept[-1], state, env)
         print("from", int(state.iteration), goes_on, flush=True)
-    state = train_loop(folder, state, env, config, LoopConfig(checkpoint_every=1), tiny.CONFIG)
+    state = tiny.train_loop(folder, state, env, config, LoopConfig(checkpoint_every=1), tiny.CONFIG)
     np.save(folder / f"weights_{process}.npy", weights(state))
 
 

@@ -14,7 +14,7 @@ import tiny_training as tiny
 
 from mjx_grasp.learning import run as run_module
 from mjx_grasp.learning.ppo import init_state
-from mjx_grasp.learning.run import LoopConfig, train_loop
+from mjx_grasp.learning.run import LoopConfig
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.physics import PhysicsState
 
@@ -45,7 +45,7 @@ def run(tmp_path_factory):
         inner = inner._replace(physics=inner.physics._replace(qpos=qpos))
         before = {"qpos": np.array(qpos), "row": np.array(inner.episode.row)}
         state = state._replace(env=state.env.replace(pipeline_state=inner))
-        train_loop(folder, state, env, tiny.ppo(), LoopConfig(), tiny.CONFIG)
+        tiny.train_loop(folder, state, env, tiny.ppo(), LoopConfig(), tiny.CONFIG)
     return folder, before, kept[0].tasks[0].description
 
 

@@ -23,7 +23,7 @@ from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import policy_from_training
 from mjx_grasp.learning.ppo import init_state
-from mjx_grasp.learning.run import LoopConfig, train_loop
+from mjx_grasp.learning.run import LoopConfig
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.tasks.assemble import World
@@ -56,7 +56,7 @@ def run(env, tmp_path_factory):
     """Three iterations in one go: their folder, the last state, and the one before it."""
     folder = tmp_path_factory.mktemp("run")
     loop = LoopConfig(checkpoint_every=1)
-    last = train_loop(folder, init_state(PPO, env, seed=0), env, PPO, loop, tiny.CONFIG)
+    last = tiny.train_loop(folder, init_state(PPO, env, seed=0), env, PPO, loop, tiny.CONFIG)
     second = checkpoints(folder / "checkpoints")[0]
     kept, goes_on = restore_checkpoint(second, init_state(PPO, env, seed=9), env)
     assert goes_on and second.name == "iteration_00000002"
@@ -81,7 +81,7 @@ def test_the_level_rises_with_the_iterations_and_is_logged(run):
 @pytest.mark.long
 def test_a_resumed_training_goes_on_as_if_nothing_had_been(env, run, tmp_path):
     _, last, kept = run
-    again = train_loop(tmp_path, kept, env, PPO, LoopConfig(), tiny.CONFIG)
+    again = tiny.train_loop(tmp_path, kept, env, PPO, LoopConfig(), tiny.CONFIG)
     np.testing.assert_array_equal(tiny.parameters(again), tiny.parameters(last))
     for found, expected in zip(*map(jax.tree.leaves, (again.env, last.env)), strict=True):
         np.testing.assert_array_equal(found, expected)

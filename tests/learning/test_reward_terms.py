@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import tiny_training as tiny
 
 from mjx_grasp.learning.ppo import init_state
-from mjx_grasp.learning.run import COLUMNS, LoopConfig, train_loop
+from mjx_grasp.learning.run import COLUMNS, LoopConfig
 from mjx_grasp.tasks.rewards import RewardTerm
 
 PUBLISHED = ("reach", "lift", "contact", "action_rate", "action_acceleration")
@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     env = tiny.make_env(extra_terms=EXTRA)
     state = init_state(tiny.ppo(), env, seed=0)
-    train_loop(folder, state, env, tiny.ppo(), LoopConfig(), tiny.CONFIG)
+    tiny.train_loop(folder, state, env, tiny.ppo(), LoopConfig(), tiny.CONFIG)
     return folder
 
 

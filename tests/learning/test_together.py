@@ -16,7 +16,7 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.ppo import init_state
-from mjx_grasp.learning.run import LoopConfig, Member, TrainingDiverged, train_loop, train_together
+from mjx_grasp.learning.run import LoopConfig, Member, TrainingDiverged, train_together
 from mjx_grasp.training import job
 from mjx_grasp.training.command_line import parse
 
@@ -54,7 +54,7 @@ def test_each_learns_what_it_learns_alone(env, together, tmp_path):
     for seed, state in zip(SEEDS, states, strict=True):
         (tmp_path / str(seed)).mkdir()
         start = init_state(tiny.ppo(), env, seed)
-        alone = train_loop(tmp_path / str(seed), start, env, tiny.ppo(2), LoopConfig(), {})
+        alone = tiny.train_loop(tmp_path / str(seed), start, env, tiny.ppo(2), LoopConfig(), {})
         np.testing.assert_allclose(tiny.parameters(state), tiny.parameters(alone), atol=2e-5)
         for mine, its in zip(rows(folder / str(seed)), rows(tmp_path / str(seed)), strict=True):
             for name in ("reward", "policy_loss", "episodes", "env_steps", "iteration"):

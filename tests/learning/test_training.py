@@ -33,7 +33,7 @@ from mjx_grasp.learning.checkpoint import (
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.log import MetricLog
 from mjx_grasp.learning.ppo import init_state, make_iteration, make_networks, make_optimizer
-from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged, train_loop
+from mjx_grasp.learning.run import COLUMNS, LoopConfig, TrainingDiverged
 
 
 @pytest.fixture(scope="module")
@@ -310,10 +310,10 @@ def test_resumed_training_is_the_unbroken_one(env, trained, tmp_path):
     """Two iterations, a checkpoint, and the third in a new loop: the parameters of three."""
     loop = LoopConfig(checkpoint_every=1)
     state = init_state(tiny.ppo(2), env, seed=0)
-    train_loop(tmp_path, state, env, tiny.ppo(2), loop, tiny.CONFIG)
+    tiny.train_loop(tmp_path, state, env, tiny.ppo(2), loop, tiny.CONFIG)
     path = checkpoints(tmp_path / "checkpoints")[-1]
     state, _ = restore_checkpoint(path, init_state(tiny.ppo(3), env, seed=0), env)
-    final = train_loop(tmp_path, state, env, tiny.ppo(3), loop, tiny.CONFIG)
+    final = tiny.train_loop(tmp_path, state, env, tiny.ppo(3), loop, tiny.CONFIG)
     same(final, trained[0][3])
     with (tmp_path / "metrics.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -334,7 +334,7 @@ def test_numbers_that_are_none_stop_the_training(env, trained, tmp_path):
         )
     )
     with pytest.raises(TrainingDiverged, match=r"diverged\.npz.*iteration 2; .*00000001"):
-        train_loop(folder, bad, env, tiny.ppo(3), LoopConfig(checkpoint_every=1), {})
+        tiny.train_loop(folder, bad, env, tiny.ppo(3), LoopConfig(checkpoint_every=1), {})
     assert [p.name for p in checkpoints(folder / "checkpoints")] == ["iteration_00000001"]
     back, _ = restore_checkpoint(
         checkpoints(folder / "checkpoints")[-1], init_state(tiny.ppo(3), env, seed=0), env
@@ -373,7 +373,7 @@ def test_an_interrupted_training_keeps_the_iteration_it_was_in(
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt, match="after iteration 3"):
-            train_loop(tmp_path, counting, env, tiny.ppo(9), LoopConfig(), tiny.CONFIG)
+            tiny.train_loop(tmp_path, counting, env, tiny.ppo(9), LoopConfig(), tiny.CONFIG)
     finally:
         signal.signal(signal.SIGINT, before)
     (path,) = checkpoints(tmp_path / "checkpoints")
@@ -387,7 +387,7 @@ def test_the_time_of_a_resumed_training_goes_on(env, counting, tmp_path):
     row = ",".join({"iteration": "1", "seconds": "500.0"}.get(name, "16") for name in COLUMNS)
     (tmp_path / "metrics.csv").write_text(f"{header}\n{row}\n")
     state = counting._replace(iteration=jnp.ones((), jnp.int32))
-    train_loop(tmp_path, state, env, tiny.ppo(3), LoopConfig(), tiny.CONFIG)
+    tiny.train_loop(tmp_path, state, env, tiny.ppo(3), LoopConfig(), tiny.CONFIG)
     with (tmp_path / "metrics.csv").open() as stream:
         seconds = [float(r["seconds"]) for r in csv.DictReader(stream)]
     assert seconds[0] == 500 < seconds[1] < seconds[2] < 600

@@ -19,7 +19,7 @@ from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
 from mjx_grasp.learning.ppo import init_state
-from mjx_grasp.learning.run import LoopConfig, train_loop
+from mjx_grasp.learning.run import LoopConfig, Member, train_together
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise
@@ -47,6 +47,12 @@ def parameters(state):
     """All that a training learns or draws from, as one vector."""
     leaves = jax.tree.leaves((state.params, state.optimizer, state.normalizer, state.key))
     return np.concatenate([np.asarray(x, np.float64).ravel() for x in leaves])
+
+
+def train_loop(folder, state, env, settings, loop, run_config):
+    """One training by itself."""
+    (state,) = train_together([Member(folder, state, run_config)], env, settings, loop)
+    return state
 
 
 class Slow(BraxTask):

@@ -1,13 +1,16 @@
 """Tables with what is published beside ours and the published setting."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from loaded import script
 
 from mjx_grasp.evaluation import paper
-from mjx_grasp.evaluation.results import ResultRow, write_results
+from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, write_results
+from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 
@@ -117,3 +120,20 @@ def test_the_grip_is_swept_over_its_least_force_and_friction(monkeypatch, tmp_pa
     assert [line[3].split()[0] for line in lines] == ["50.0", "0.0", "25.0"]
     assert all(line[2].endswith("at 2.0") for line in lines)
     assert table(tmp_path / "none.json") == script("closing_tables").NOTHING
+
+
+@pytest.mark.parametrize("states", [16, 128])
+def test_the_interval_of_a_mean_is_that_of_its_start_states(states):
+    """Trials of a start state that all end alike are worth one: the spread of their share."""
+    trials = 128
+    starts = tuple(np.repeat(np.arange(states), trials // states).tolist())
+    outcomes = "".join(OUTCOMES[("successes", "never_lifted")[start % 2]] for start in starts)
+    common = {"outcomes": outcomes, "starts": starts, "forces_n": trials * (2.0,)}
+    held = replace(row("apple", "policy", 4, None), episodes=trials, successes=trials // 2,
+                   never_lifted=trials // 2, ci95=(40.0, 60.0), **common)  # fmt: skip
+    mean, (low, high) = Column("", {"apple": held}).mean()
+    half = 1.96 * 100 * np.sqrt(0.25 / states)
+    assert mean == 50.0
+    assert (low, high) == pytest.approx((50 - half, 50 + half), abs=0.12 * half)
+    unkept = replace(held, outcomes="", starts=(), forces_n=())
+    assert Column("", {"apple": unkept}).mean()[1] == pytest.approx((41.4, 58.6), abs=0.5)

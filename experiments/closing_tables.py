@@ -493,7 +493,9 @@ def shipped_handoffs(folder: Path) -> str:
                 for k, made in enumerate(steps, start=1)
             ),
         ]
-    for name, gate in (("reached", ""), ("paper_gate", "; by the publication's gate")):
+    by_its = "; by the publication's gate"
+    gates = {"reached": "", "paper_gate": by_its, "paper_near": f"{by_its}, set to its midpoint"}
+    for name, gate in gates.items():
         if (d := read(folder / f"handoffs_{name}.json")) is not None:
             told = ("name", "kind", "tip_error_mm")
             reports = [

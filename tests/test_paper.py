@@ -209,8 +209,8 @@ def test_trainings_of_a_plan_wait_for_the_states_that_it_names_and_have_the_gpu(
     (part,) = [one for one in script("paper_parts").PARTS if one.name == "paper-ablation"]
     monkeypatch.setattr(module, "has_gpu", lambda: True)
     steps = module.steps_of([part], lambda command: True, module.lane_of)
-    states, judges, tune, judged = steps
-    assert tune.after == {states.command} and tune.lane == states.lane == "the GPU"
+    states, near, judges, tune, judged = steps
+    assert tune.after == {states.command, near.command} and tune.lane == states.lane == "the GPU"
     assert judged.after == {judges.command, tune.command}
     assert part.not_quick and part.if_named
 

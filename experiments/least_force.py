@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from rich.console import Console
 from scipy.linalg import null_space
 from scipy.optimize import linprog
@@ -110,12 +110,10 @@ def main(config: LeastForceConfig) -> None:
         for friction in config.frictions:
             for k, name in enumerate(names):
                 obj, own = objects[name], np.flatnonzero(states.object_index == k)
-                finished = f"{name} {friction:g}"
-                if finished not in journal.done:
-                    least = [_least_of(states, state, obj, friction) for state in own]
-                    journal.add(finished, [round(x, 3) if np.isfinite(x) else None for x in least])
+                forces = journal.once(
+                    f"{name} {friction:g}", _forces_of, states, own, obj, friction
+                )
                 bar.update(job, advance=len(own))
-                forces = journal.done[finished]
                 common = {"object": name, "friction": friction, "mass_kg": obj.mass}
                 rows.append(common | {"forces_n": forces})
     record = {
@@ -128,6 +126,14 @@ def main(config: LeastForceConfig) -> None:
     }
     write_json(config.out, record)
     journal.close()
+
+
+def _forces_of(
+    states: HandoffSet, own: Int[np.ndarray, " n"], obj: ObjectModel, friction: float
+) -> list[float | None]:
+    """The least of some states, as the file has it."""
+    least = [_least_of(states, state, obj, friction) for state in own]
+    return [round(x, 3) if np.isfinite(x) else None for x in least]
 
 
 def _least_of(states: HandoffSet, state: int, obj: ObjectModel, friction: float) -> float:

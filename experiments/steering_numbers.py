@@ -147,6 +147,10 @@ def rows_of(obj: Seen) -> Iterator[dict[str, Any]]:
                 yield common | row | measures(heatmap, triple, anchor)
 
 
+def _rows_of_object(name: str, objects_dir: Path | None, hand: HandSpec) -> list[dict[str, Any]]:
+    return list(rows_of(seen(name, objects_dir, hand)))
+
+
 def _millimetres(lengths: Float[np.ndarray, " n"]) -> list[float]:
     return np.round(1e3 * lengths, 2).tolist()
 
@@ -157,9 +161,7 @@ def main(config: NumbersConfig) -> None:
     hand = load_robot().hand
     journal, rows = Journal(config.out, to_record(config), made["git"]), []
     for name in track(config.objects, "objects", console=Console(stderr=True)):
-        if name not in journal.done:
-            journal.add(name, list(rows_of(seen(name, config.objects_dir, hand))))
-        rows += journal.done[name]
+        rows += journal.once(name, _rows_of_object, name, config.objects_dir, hand)
     settings = {"span_m": hand.span, "friction": hand.scoring_friction, "usable": USABLE}
     settings |= {"on_part_m": ON_PART_M}
     content = {"schema": SCHEMA, "settings": settings, "rows": rows, "provenance": made}

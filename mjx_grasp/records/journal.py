@@ -77,6 +77,18 @@ class Journal:
             os.fsync(file.fileno())
         self.done[name] = result
 
+    def once(self, name: str, work: Callable[..., Any], *given: Any) -> Any:
+        """What a job gave; it is done, and kept, if it was not before.
+
+        Args:
+            name: Of the job.
+            work: Does it; what it gives has to be JSON.
+            given: What it is called with.
+        """
+        if name not in self.done:
+            self.add(name, work(*given))
+        return self.done[name]
+
     def _begin(self) -> None:
         """Writes what is kept, without a line that is incomplete; only then can be added to it."""
         with replacing(self.path) as temporary:

@@ -78,6 +78,20 @@ def test_nothing_is_left_of_work_of_which_nothing_was_finished(results):
     assert list(results.parent.iterdir()) == []
 
 
+def test_a_job_that_is_done_here_is_done_once(results):
+    """Also by who was killed before."""
+    done = []
+
+    def work(*given):
+        done.append(given)
+        return [sum(given), None]
+
+    assert Journal(results, {}, "abc").once("three", work, 1, 2) == [3, None]
+    journal = Journal(results, {}, "abc")
+    assert journal.once("three", work, 1, 2) == [3, None] and done == [(1, 2)]
+    assert journal.once("none", work) == [0, None] and done == [(1, 2), ()]
+
+
 def test_what_is_finished_is_told_at_once(results, backwards):
     journal, told = Journal(results, {}, "abc"), []
     named = [(f"job {job}", job) for job in range(3)]

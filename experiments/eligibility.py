@@ -6,6 +6,7 @@ limits an object is the term of the score that, set to 1 at every point, raises 
 The settings that the publication leaves open are compared by how many of the training objects are
 eligible, by where the four objects stand that it reports as difficult (ranks by the share of the
 surface that is eligible: the four lowest are 25 to 28), and by how much they change on the eight.
+A run that was killed goes on after the settings that it had finished.
 
   python experiments/eligibility.py --objects-dir SCANS
 """
@@ -32,6 +33,7 @@ from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import object_mesh
 from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, to_record
 from mjx_grasp.robot.spec import load_robot
@@ -70,23 +72,22 @@ def main(config: EligibilityConfig) -> None:
     training, eight = resolve(("train",)), resolve(("eight",))
     names = tuple(dict.fromkeys((*names, *(n for n in eight if n not in names))))
     surfaces = {n: heatmap_surface(object_mesh(n, config.objects_dir)) for n in names}
+    identity = to_record(config) | {"device": made["device"]}  # which decides what searches
+    journal = Journal(config.out, identity, made["git"])
     every = {
-        name: _maps(surfaces, settings)
+        name: journal.once(name, _found, surfaces, settings, least, eight)
         for name, settings in track(SETTINGS.items(), "settings", console=Console(stderr=True))
-    }
-    areas = {
-        n: vertex_areas(np.asarray(s.vertices), np.asarray(s.faces)) for n, s in surfaces.items()
     }
     first = next(iter(SETTINGS))
     rows = [
         {"object": n, "held_out": n not in (*training, *eight), "faces": len(surfaces[n].faces)}
-        | {name: _row(every[name][n], areas[n], least) for name in (first, "default: both")}
+        | {name: every[name]["rows"][n] for name in (first, "default: both")}
         for n in names
     ]
     compared = []
-    for name, maps in every.items():
-        share = {n: _row(maps[n], areas[n], least)["share"] for n in training if n in maps}
-        kept = [_kept(every[first][n], maps[n], least) for n in eight]
+    for name, found in every.items():
+        share = {n: found["rows"][n]["share"] for n in training if n in surfaces}
+        kept = [_kept(every[first]["candidates"][n], found["candidates"][n]) for n in eight]
         compared.append(
             {
                 "settings": name,
@@ -107,9 +108,29 @@ def main(config: EligibilityConfig) -> None:
         "compared": compared,
     }
     write_json(config.out, document)
+    journal.close()
     for row in compared:
         print(row)
     print(f"written: {config.out}")
+
+
+def _found(
+    surfaces: dict[str, trimesh.Trimesh],
+    settings: HeatmapConfig,
+    least: float,
+    watched: Sequence[str],
+) -> dict[str, Any]:
+    """Rows of all objects by some settings, and the candidates of those that are watched."""
+    maps = _maps(surfaces, settings)
+    areas = {
+        n: vertex_areas(np.asarray(s.vertices), np.asarray(s.faces)) for n, s in surfaces.items()
+    }
+    return {
+        "rows": {n: _row(maps[n], areas[n], least) for n in surfaces},
+        "candidates": {
+            n: np.flatnonzero(np.asarray(maps[n].score) >= least).tolist() for n in watched
+        },
+    }
 
 
 def _maps(surfaces: dict[str, trimesh.Trimesh], settings: HeatmapConfig) -> dict[str, Heatmap]:
@@ -146,10 +167,10 @@ def _limit(terms: dict[str, np.ndarray], score: np.ndarray) -> tuple[str, float]
     return name, without(name)
 
 
-def _kept(before: Heatmap, after: Heatmap, least: float) -> float:
+def _kept(before: Sequence[int], after: Sequence[int]) -> float:
     """Candidates in both over candidates in either."""
-    a, b = (np.asarray(h.score) >= least for h in (before, after))
-    return float((a & b).sum() / max(1, (a | b).sum()))
+    a, b = set(before), set(after)
+    return len(a & b) / max(1, len(a | b))
 
 
 if __name__ == "__main__":

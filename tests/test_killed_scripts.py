@@ -1,4 +1,4 @@
-"""Scripts that share their work: a killed run goes on, and two processes write what one does."""
+"""Scripts that are killed go on; two processes that share the work write what one does."""
 
 import importlib
 import json
@@ -6,8 +6,10 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import handmade
 import numpy as np
 import pytest
+from loaded import script
 from on_cores import run_on_cores
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -19,6 +21,8 @@ FLAGS = {
     "lift_stability": "--object foam_brick --seconds 4 --trials 2 --budgets 3 --impratios 1",
     "steered_grasps": "--objects pear",
 }
+OUT = Path("out.json")
+"""in the working directory"""
 
 
 def heavy_objects(module, folder):
@@ -76,6 +80,61 @@ def test_a_killed_run_loses_nothing_that_was_finished(case, tmp_path, monkeypatc
     most = -1
     module.main(replace(config, seed=7))
     assert len(done) == jobs + 1 + jobs
+
+
+def boxes(name, _):
+    """Of a size of its own for each name."""
+    return handmade.box(half=(0.03, 0.02, 0.02 + 0.001 * len(name))).mesh
+
+
+def eligibility(monkeypatch):
+    module = script("eligibility")
+    groups = {"train": ("apple", "mug"), "held_out": ("banana",), "eight": ("mug", "pear")}
+    monkeypatch.setattr(module, "resolve", lambda names: sum((groups[n] for n in names), ()))
+    monkeypatch.setattr(module, "DIFFICULT", ("mug",))
+    names = ("published", "opposition 0.7", "default: both")
+    monkeypatch.setattr(module, "SETTINGS", {name: module.SETTINGS[name] for name in names})
+    monkeypatch.setattr(module, "object_mesh", boxes)
+    return module, module.EligibilityConfig(out=OUT), "compute_heatmaps", 3
+
+
+ONE_PROCESS = (eligibility,)
+
+
+@pytest.mark.parametrize("case", ONE_PROCESS)
+def test_what_is_made_one_after_the_other_is_made_once(case, tmp_path, monkeypatch, committed):
+    """However often it is killed, and what comes of it is what comes of a run that is not."""
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+
+    def made(folder, at_a_time):
+        """The files of runs that are killed after so many jobs, until one is not."""
+        folder.mkdir()
+        with monkeypatch.context() as patch:
+            patch.chdir(folder)
+            module, config, name, jobs = case(patch)
+            work, done, left = getattr(module, name), 0, 0
+
+            def counted(*given):
+                nonlocal done, left
+                if left == 0:
+                    raise KeyboardInterrupt
+                done, left = done + 1, left - 1
+                return work(*given)
+
+            patch.setattr(module, name, counted)
+            for _ in range(jobs):
+                left = at_a_time
+                try:
+                    module.main(config)
+                except KeyboardInterrupt:
+                    continue
+                break
+        assert done == jobs, "none twice"
+        return {path.name: path.read_bytes() for path in folder.glob("*out*")}
+
+    whole = made(tmp_path / "whole", at_a_time=100)
+    assert "out.json" in whole and ".out.json.begun" not in whole
+    assert made(tmp_path / "killed", at_a_time=1) == whole
 
 
 @pytest.mark.long

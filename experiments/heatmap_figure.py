@@ -1,6 +1,8 @@
 """The heatmaps of all train objects on one sheet.
 
 python experiments/heatmap_figure.py --objects-dir SCANS
+
+A run that was killed goes on after the objects that it had finished.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -23,12 +26,14 @@ from mjx_grasp.heatmap.summary import GOOD, Row, summary_table
 from mjx_grasp.objects.catalogue import load_catalogue, resolve
 from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.objects.model import object_mesh
+from mjx_grasp.records.archive import packed, unpacked
 from mjx_grasp.records.atomic import write_json
+from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings, Count
-from mjx_grasp.robot.spec import load_robot
+from mjx_grasp.records.settings import CommandSettings, Count, to_record
+from mjx_grasp.robot.spec import HandSpec, load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
-from mjx_grasp.viz.heatmap import subject_of
+from mjx_grasp.viz.heatmap import Subject, subject_of
 
 SCHEMA = "mjx_grasp.heatmaps/1"
 
@@ -53,22 +58,14 @@ def main(config: FigureConfig) -> None:
     """Computes, draws and writes."""
     made = provenance(0)  # before anything is written, so that the revision is not dirty by it
     hand = load_robot().hand
+    identity = to_record(config) | {"device": made["device"]}  # times are of one
+    journal = Journal(config.results, identity, made["git"])
     rows, cells = [], []
     for name in track(resolve(config.objects), "heatmaps", console=Console(stderr=True)):
-        mesh, file = heatmap_surface(object_mesh(name, config.objects_dir)), "stand-in"
-        if config.objects_dir is not None:
-            file = find_scan(config.objects_dir, load_catalogue()[name].scan_names).name
-        start = time.perf_counter()
-        heatmap = compute_heatmap(
-            np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span,
-            hand.scoring_friction,
-        )  # fmt: skip
-        heatmap = jax.tree.map(np.asarray, heatmap)
-        seconds = time.perf_counter() - start
-        best, share = float(heatmap.score.max()), float(np.mean(heatmap.score > GOOD))
-        rows.append(Row(name, file, len(mesh.vertices), len(mesh.faces), best, share, seconds))
-        subject = subject_of(heatmap, mesh.faces, triple=best_triple(heatmap))
-        cells.append(Cell(name.replace("_", " "), f"best {best:.2f}", subject))
+        found = journal.once(name, looked_at, name, config.objects_dir, hand)
+        row, subject = Row(**found["row"]), Subject(**unpacked(found["subject"]))
+        rows.append(row)
+        cells.append(Cell(name.replace("_", " "), f"best {row.best_score:.2f}", subject))
     span = [1e3 * length for length in hand.span]
     subtitle = f"hand span {span[0]:g} to {span[1]:g} mm, friction {hand.scoring_friction:g}"
     start = time.perf_counter()
@@ -85,8 +82,27 @@ def main(config: FigureConfig) -> None:
         "provenance": made,
     }
     write_json(config.results, content)
+    journal.close()
     Console().print(summary_table(rows))
     print(f"written: {config.out}, {config.results}")
+
+
+def looked_at(name: str, objects_dir: Path | None, hand: HandSpec) -> dict[str, Any]:
+    """An object's row, and what is drawn of it."""
+    mesh, file = heatmap_surface(object_mesh(name, objects_dir)), "stand-in"
+    if objects_dir is not None:
+        file = find_scan(objects_dir, load_catalogue()[name].scan_names).name
+    start = time.perf_counter()
+    heatmap = compute_heatmap(
+        np.asarray(mesh.vertices), np.asarray(mesh.faces), None, hand.span, hand.scoring_friction
+    )
+    heatmap = jax.tree.map(np.asarray, heatmap)
+    seconds = time.perf_counter() - start
+    best, share = float(heatmap.score.max()), float(np.mean(heatmap.score > GOOD))
+    row = Row(name, file, len(mesh.vertices), len(mesh.faces), best, share, seconds)
+    subject = subject_of(heatmap, mesh.faces, triple=best_triple(heatmap))
+    drawn = {what: array for what, array in vars(subject).items() if array is not None}
+    return {"row": asdict(row), "subject": packed(drawn)}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import handmade
 import numpy as np
@@ -21,7 +22,7 @@ FLAGS = {
     "lift_stability": "--object foam_brick --seconds 4 --trials 2 --budgets 3 --impratios 1",
     "steered_grasps": "--objects pear",
 }
-OUT = Path("out.json")
+OUT, PICTURE = Path("out.json"), Path("out.png")
 """in the working directory"""
 
 
@@ -98,7 +99,17 @@ def eligibility(monkeypatch):
     return module, module.EligibilityConfig(out=OUT), "compute_heatmaps", 3
 
 
-ONE_PROCESS = (eligibility,)
+def heatmap_figure(monkeypatch):
+    module = script("heatmap_figure")
+    monkeypatch.setattr(module, "object_mesh", boxes)
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: 1.5))
+    config = module.FigureConfig(
+        objects=("mug", "apple", "banana"), cell_pixels=60, out=PICTURE, results=OUT
+    )
+    return module, config, "compute_heatmap", 3
+
+
+ONE_PROCESS = (eligibility, heatmap_figure)
 
 
 @pytest.mark.parametrize("case", ONE_PROCESS)

@@ -2,7 +2,8 @@
 
     python experiments/steered_trials_figure.py --objects-dir SCANS
 
-Poses are tried by their seeds until one succeeds; the results file says what came of each.
+Poses are tried by their seeds until one succeeds; the results file says what came of each. A run
+that was killed goes on after the poses that it had tried.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from small_png import write_png
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.records.archive import packed, unpacked
 from mjx_grasp.records.atomic import check_writable, write_json
+from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings, Count, Seed
+from mjx_grasp.records.settings import CommandSettings, Count, Seed, to_record
 from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.demo.run import run_demo
 from mjx_grasp.viz.frames import Frame
@@ -65,40 +68,57 @@ def main(config: TrialsConfig) -> None:
     check_writable("--out", config.out)
     check_writable("--results", config.results)
     made, console = provenance(config.seed), Console(stderr=True)
+    identity = to_record(config) | {"device": made["device"]}
+    journal = Journal(config.results, identity, made["git"])
     rows, strips = [], []
     for name, instruction in CASES:
-        row, strip = tried(name, instruction, config, console)
+        row, strip = tried(name, instruction, config, console, journal)
         rows.append(row)
         strips.append(strip)
     write_png(config.out, sheet(rows, strips, config.cell_pixels), 1000 * config.max_kb)
     write_json(config.results, {"schema": SCHEMA, "rows": rows, "provenance": made})
+    journal.close()
     console.print(f"written: {config.out}, {config.results}")
 
 
 def tried(
-    name: str, instruction: str, config: TrialsConfig, console: Console
+    name: str, instruction: str, config: TrialsConfig, console: Console, journal: Journal
 ) -> tuple[dict[str, Any], list[Frame]]:
     """What came of an object's poses, and pictures of the last one tried."""
     outcomes: list[str] = []
+    for seed in range(config.seed, config.seed + config.tries):
+        pose = f"{name}, seed {seed}"
+        found = journal.once(pose, grasped, name, instruction, seed, config, console)
+        outcomes.append(found["outcome"])
+        console.print(f"{pose}: {outcomes[-1]}")
+        if found["row"]["success"]:
+            break
+    row = found["row"] | {"outcomes": outcomes, "seed": seed}
+    return row, list(unpacked(found["film"])["frames"])
+
+
+def grasped(
+    name: str, instruction: str, seed: int, config: TrialsConfig, console: Console
+) -> dict[str, Any]:
+    """What came of one pose, and pictures of it."""
     scanned = load_catalogue()[name].split != "figure_only"
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(config.seed, config.seed + config.tries):
-            demo = DemoConfig(
-                name,
-                instruction=instruction,
-                objects_dir=config.objects_dir if scanned else None,
-                seed=seed,
-                out=Path(folder) / str(seed),
-            )
-            result = run_demo(demo, console)
-            outcomes.append(result["grasp"]["outcome"])
-            console.print(f"{name}, seed {seed}: {outcomes[-1]}")
-            if result["success"]:
-                break
+        demo = DemoConfig(
+            name,
+            instruction=instruction,
+            objects_dir=config.objects_dir if scanned else None,
+            seed=seed,
+            out=Path(folder) / "demo",
+        )
+        result = run_demo(demo, console)
         film = list(iio.imiter(demo.out / "grasp.mp4"))
     kept = ("object", "mesh", "asked", "from_anchor_mm", "at_best_mm", "success", "phases")
-    row = {key: result[key] for key in kept} | {"outcomes": outcomes, "seed": seed}
-    return row, [film[k] for k in moments(result["phases"], len(film))]
+    frames = np.array([film[k] for k in moments(result["phases"], len(film))])
+    return {
+        "outcome": result["grasp"]["outcome"],
+        "row": {key: result[key] for key in kept},
+        "film": packed({"frames": frames}),
+    }
 
 
 def moments(phases: list[dict[str, Any]], frames: int) -> list[int]:

@@ -109,7 +109,27 @@ def heatmap_figure(monkeypatch):
     return module, config, "compute_heatmap", 3
 
 
-ONE_PROCESS = (eligibility, heatmap_figure)
+def steered_trials_figure(monkeypatch):
+    module, film = script("steered_trials_figure"), {}
+
+    def run_demo(demo, console):
+        success = demo.seed == 1
+        film[demo.out / "grasp.mp4"] = np.random.default_rng(demo.seed).integers(
+            0, 255, (60, 48, 64, 3), np.uint8
+        )
+        found = {"object": demo.object, "mesh": "scan", "asked": f"“{demo.instruction}” (part)"}
+        found |= {"from_anchor_mm": 12.3, "at_best_mm": 9.1, "success": success}
+        phases = [{"name": "reaching", "start": 0.0, "end": 1.1}]
+        grasp = {"outcome": "success" if success else "not_held"}
+        return found | {"phases": phases, "grasp": grasp}
+
+    monkeypatch.setattr(module, "run_demo", run_demo)
+    monkeypatch.setattr(module.iio, "imiter", lambda path: iter(film[path]))
+    monkeypatch.setattr(module, "CASES", (("mug", "by the handle"), ("wine_glass", "by the stem")))
+    return module, module.TrialsConfig(cell_pixels=64, out=PICTURE, results=OUT), "run_demo", 4
+
+
+ONE_PROCESS = (eligibility, heatmap_figure, steered_trials_figure)
 
 
 @pytest.mark.parametrize("case", ONE_PROCESS)

@@ -8,14 +8,14 @@ Each run is one command, and the first of them the preset itself:
 
 lifts with their policies in native MuJoCo from states of the training set, so that what is chosen
 by this table is not chosen by the states that the results are made with. A run that is in the file
-already is replaced, unless it was judged alike by the same code.
+already is replaced, unless it was judged alike by the same code; one that was being judged when the
+script was killed keeps what was finished of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json, write_json
-from mjx_grasp.records.journal import goes_on
+from mjx_grasp.records.journal import Journal, goes_on
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
 from mjx_grasp.robot.spec import load_robot
@@ -120,15 +120,21 @@ def changes(config: TrainConfig) -> dict[str, Any]:
 
 
 def evaluated(
-    world: World, policy_file: Path, conditions: Mapping[str, StartNoise], config: AblationConfig
+    world: World,
+    policy_file: Path,
+    conditions: Mapping[str, StartNoise],
+    config: AblationConfig,
+    journal: Journal,
 ) -> list[dict[str, Any]]:
     """One row per condition and budget; trials that share compiled functions are one batch."""
-    policy = load_policy(policy_file)
+    policy, digests = load_policy(policy_file), file_digests(policy=policy_file)
     asked = [(name, budget) for name in conditions for budget in config.budgets]
     noises = [replace(conditions[name], budget_n=(budget, budget)) for name, budget in asked]
     task, found = policy_task(policy), []
-    for felt, own in groupby(noises, _felt):
-        found += _tried(world, task, policy.controller(), list(own), felt, config)
+    for felt, alike in groupby(noises, _felt):
+        own = list(alike)
+        tried = world, task, policy.controller(), own, felt, config
+        found += journal.once(f"{digests}, {own}", _tried, *tried)
     return [
         {"condition": n, "budget_n": b} | sums for (n, b), sums in zip(asked, found, strict=True)
     ]
@@ -201,10 +207,16 @@ def main(config: AblationConfig) -> None:
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, _ = eligible(scene.object_names, stored)
     world = build_world(scene, states_of(stored, names, "training"), 0.01)
-    squeeze = cache(lambda task, force: squeezed(world, task, force, config))
     kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
     rows = {row["run"]: row for row in kept["rows"]}
     asked = to_record(replace(config, runs=(), out=Path()))
+    identity = {"asked": asked, "sha256": file_digests(handoffs=config.handoffs)}
+    journal = Journal(config.out, identity, made["git"])
+
+    def squeeze(task: TaskConfig, force: float) -> dict[str, Any]:
+        """Once of a task, which many runs share."""
+        return journal.once(f"{force} N, {task}", squeezed, world, task, force, config)
+
     with counting_progress(Console(stderr=True)) as bar:
         job = bar.add_task("runs", total=len(settings))
         for folder, trained in settings.items():
@@ -223,7 +235,9 @@ def main(config: AblationConfig) -> None:
                 "env_steps": trained.ppo.iterations * trained.ppo.steps_per_iteration,
                 **judged,
                 "provenance": made,
-                "evaluations": evaluated(world, folder / "policy.npz", CONDITIONS | own, config),
+                "evaluations": evaluated(
+                    world, folder / "policy.npz", CONDITIONS | own, config, journal
+                ),
                 "squeezes": [squeeze(trained.task, force) for force in config.squeezes],
             }
             record = {
@@ -234,6 +248,7 @@ def main(config: AblationConfig) -> None:
             }
             write_json(config.out, record)
             bar.update(job, advance=1)
+    journal.close()
 
 
 if __name__ == "__main__":

@@ -179,7 +179,7 @@ def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monke
         module.finished_runs(plan / "unfinished")
     made = provenance(0) | {"git": "0" * 40}
 
-    def evaluated(world, policy, conditions, config):
+    def evaluated(world, policy, conditions, *_):
         judged.append((policy.parent.name, tuple(conditions)))
         return []
 
@@ -215,10 +215,10 @@ def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monke
     made["git"] = "1" * 40
     stops = {"a-seed1"}
 
-    def killed(world, policy, conditions, config):
+    def killed(world, policy, *more):
         if policy.parent.name in stops:
             raise KeyboardInterrupt
-        return evaluated(world, policy, conditions, config)
+        return evaluated(world, policy, *more)
 
     monkeypatch.setattr(module, "evaluated", killed)
     with pytest.raises(KeyboardInterrupt):

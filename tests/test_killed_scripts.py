@@ -13,6 +13,9 @@ import pytest
 from loaded import script
 from on_cores import run_on_cores
 
+from mjx_grasp.records.atomic import write_json
+from mjx_grasp.training.config import settings_of
+
 ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ROOT / "experiments"
 STANDINS = ROOT / "assets" / "handoffs_standins.npz"
@@ -129,7 +132,30 @@ def steered_trials_figure(monkeypatch):
     return module, module.TrialsConfig(cell_pixels=64, out=PICTURE, results=OUT), "run_demo", 4
 
 
-ONE_PROCESS = (eligibility, heatmap_figure, steered_trials_figure)
+def policy_ablation(monkeypatch):
+    """Of two runs with the same task: a batch of trials of each, and two squeezes."""
+    module, runs = script("policy_ablation"), (Path("a"), Path("b"))
+    for run in runs:
+        run.mkdir()
+        (run / "policy.npz").write_text(run.name)
+        write_json(run / "provenance.json", {"command": run.name})
+    for name in ("load_robot", "load_handoffs", "build_scene_of", "states_of", "build_world"):
+        monkeypatch.setattr(module, name, lambda *_, **__: SimpleNamespace(object_names=()))
+    monkeypatch.setattr(module, "eligible", lambda *_: ((), ()))
+    monkeypatch.setattr(module, "stored_config", lambda folder: settings_of("paper"))
+    monkeypatch.setattr(module, "policy_task", lambda policy: "a policy's")
+    policy = SimpleNamespace
+    monkeypatch.setattr(module, "load_policy", lambda path: policy(controller=lambda: f"{path}"))
+
+    def tried(world, task, controller, noises, felt, config):
+        return [{"by": controller, "task": str(task), "noise": str(noise)} for noise in noises]
+
+    monkeypatch.setattr(module, "_tried", tried)
+    config = module.AblationConfig(runs, out=OUT, budgets=(2.0, 3.0), squeezes=(1.0, 3.0))
+    return module, config, "_tried", 4
+
+
+ONE_PROCESS = (eligibility, heatmap_figure, policy_ablation, steered_trials_figure)
 
 
 @pytest.mark.parametrize("case", ONE_PROCESS)

@@ -10,17 +10,16 @@ def main() -> None:
 
         from mjx_grasp.records.command_line import parsed
         from mjx_grasp.viz.demo.config import DemoConfig
+        from mjx_grasp.viz.demo.page import verdict
         from mjx_grasp.viz.demo.run import run_demo
 
         config = parsed(DemoConfig, __doc__)
 
     console = Console(stderr=True)
     result = run_demo(config, console)
-    apart, best = result["from_anchor_mm"], result["at_best_mm"]
-    near = "" if apart is None else f", contacts {apart:.0f} mm from the anchor, {best:.0f} at best"
     if result["mesh"] == "parametric":
         console.print(f"{result['object']}: a simple stand-in; --objects-dir takes scans")
-    console.print(f"{result['object']}: {result['grasp']['outcome'].replace('_', ' ')}{near}")
+    console.print(f"{result['object']}: {verdict(result)}")
     console.print(f"written: {config.out / 'index.html'}")
 
 

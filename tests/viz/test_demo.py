@@ -11,6 +11,7 @@ from browser import browsing
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.kept import Trace
 from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.catalogue import load_catalogue
@@ -19,7 +20,7 @@ from mjx_grasp.pipeline.assemble import STEERED_SCORE
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig
-from mjx_grasp.viz.demo.page import Shown, demo_page
+from mjx_grasp.viz.demo.page import Shown, demo_page, verdict
 from mjx_grasp.viz.demo.plots import Curves, Stage, forces_up_to, wrench_up_to
 from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
 from mjx_grasp.viz.heatmap import Subject
@@ -63,18 +64,22 @@ def shown(success):
         np.linspace(0, 1, 8), CONTACTS[0], CONTACTS[1:], np.zeros(3),
     )  # fmt: skip
     grasp = {
-        "outcome": "success" if success else "never_lifted", "handoff_s": 0.2, "lift_s": 0.3,
+        "outcome": "success" if success else "never_lifted",
+        "failure": "none" if success else "dropped", "handoff_s": 0.2, "lift_s": 0.3,
         "lifted_s": None, "tip_error_mm": (1.0, 2.0, 3.0), "force_mean_n": 2.0,
         "force_peak_n": 3.0, "replans": 0, "returns": 1,
     }  # fmt: skip
     stages = [Stage("reaching", 0.0, 0.2), Stage("closing", 0.2, 0.3), Stage("lifting", 0.3, 0.6)]
+    asked = {"from_anchor_mm": 23.4, "at_best_mm": 12.5, "as_asked": True}
     result = {
         "grasp": grasp,
+        "success": success,
+        "mass_kg": 0.25,
+        "tries": [{"start_s": 0.2, "from_anchor_mm": 23.4 if success else None}],
         "seconds": {"heatmap": 1.0},
-        "from_anchor_mm": 23.4 if success else None,
-        "at_best_mm": 12.5 if success else None,
+        **(asked if success else dict.fromkeys(asked)),
     }
-    return Shown("a <box>", success, subject, curves, stages, None, "no renderer", result)
+    return Shown("a <box>", subject, curves, stages, None, "no renderer", result)
 
 
 def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
@@ -84,7 +89,56 @@ def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
     assert "http" not in page.replace("http-equiv", "") and "src='/" not in page
     assert "<dt>contacts from the anchor</dt><dd>23.4 mm, 12.5 mm at best</dd>" in page
     failed = demo_page(shown(False))
-    assert "never lifted" in failed and "from the anchor" not in failed
+    assert "never lifted: dropped" in failed and "from the anchor" not in failed
+    assert "<dt>lifted after</dt><dd>–</dd>" in failed and "<dt>mass</dt><dd>0.25 kg</dd>" in failed
+
+
+def test_the_page_says_where_a_grasp_was_not_what_was_asked_for():
+    asked = shown(True).result
+    assert verdict(asked) == "lifted and held, contacts 23 mm from the place, 12 at best"
+    aside = asked | {"from_anchor_mm": 56.0, "as_asked": run.as_asked(56.0, 12.5)}
+    found = "lifted and held, but not where it was asked for: contacts 56 mm from the place"
+    assert verdict(aside).startswith(found)
+    first, second = ({"start_s": 0.1, "from_anchor_mm": mm} for mm in (14.0, 20.0))
+    aside["tries"] = [first, *asked["tries"]]
+    assert verdict(aside).endswith("; an earlier try at 14 mm failed")
+    aside["tries"] = [second, first, *asked["tries"]]
+    assert verdict(aside).endswith("; 2 earlier tries, the nearest at 14 mm failed")
+    page = demo_page(shown(True)._replace(result=aside))
+    assert "class='verdict aside'" in page and "class='verdict aside'" not in demo_page(shown(True))
+    dropped = aside | {"success": False, "grasp": asked["grasp"] | {"outcome": "slipped"}}
+    assert verdict(dropped).startswith("slipped, contacts 56 mm from the place")
+
+
+def test_contacts_are_as_asked_where_hardly_any_are_nearer():
+    assert run.as_asked(32.0, 12.5) and run.as_asked(10.0, 12.5)
+    assert run.as_asked(33.0, 12.5) is False and run.as_asked(None, None) is None
+
+
+def test_tries_have_the_contacts_that_the_hand_closed_on_in_the_objects_frame(robot):
+    scene = build_scene([handmade.box()], robot)
+    at = scene.addresses.object_qpos
+    qpos = np.zeros((4, 1, scene.model.nq))
+    half = np.sqrt(0.5)
+    qpos[:, 0, at] = (0.5, 0.3, 0.05, half, 0.0, 0.0, half)  # a quarter turn about z
+    contacts = np.zeros((4, 1, 3, 3))
+    contacts[2, 0] = (0.5, 0.31, 0.05)  # x = 10 mm of the object
+    ticks, fingers = np.zeros((4, 1), np.float32), np.zeros((4, 1, 3), np.float32)
+    no = fingers > 0
+    trace = Trace(
+        ticks.astype(np.int32), qpos.astype(np.float32), ticks, np.zeros((4, 1, 6), np.float32),
+        fingers, contacts.astype(np.float32), no, no, fingers, fingers, ticks > 0,
+    )  # fmt: skip
+    stages = [Stage("reaching", 0.0, 0.02), Stage("closing", 0.02, 0.04)]
+    (found,) = run._tries(stages, trace, scene, np.array([0.03, 0.0, 0.0]), 0.01)
+    assert found == {"start_s": 0.02, "from_anchor_mm": 20.0}
+    assert run._tries(stages, trace, scene, None, 0.01)[0]["from_anchor_mm"] is None
+
+
+def test_an_object_too_heavy_for_friction_is_told_before_the_grasp():
+    most = 3 * 0.8 * 8.0 / 9.81
+    assert run.too_heavy(most - 0.01, 8.0) is None
+    assert "8 N each carry about 2 kg by a friction of 0.8" in run.too_heavy(most + 0.01, 8.0)
 
 
 def test_how_far_from_the_anchor_contacts_are_is_in_its_own_unit():

@@ -20,7 +20,7 @@ _PHONE = (
     "main{max-width:44rem}video,img{width:100%;height:auto;display:block}"
     "dl{display:grid;grid-template-columns:auto 1fr;gap:.2rem 1rem;margin:.6rem 0}"
     "dt{color:#5b6470}dd{margin:0;font-variant-numeric:tabular-nums}"
-    ".verdict{font-weight:600}.held{color:#1d7a43}.failed{color:#b03020}"
+    ".verdict{font-weight:600}.held{color:#1d7a43}.failed{color:#b03020}.aside{color:#9a6500}"
     "@media(max-width:48rem){main{margin:0;border:0;border-radius:0;padding:1rem}}"
 )
 
@@ -29,7 +29,6 @@ class Shown(NamedTuple):
     """What a page shows."""
 
     title: str
-    success: bool
     subject: Subject
     """the object with its scores, contacts and anchor"""
     curves: Curves
@@ -42,9 +41,10 @@ class Shown(NamedTuple):
 
 def demo_page(shown: Shown) -> str:
     """The page."""
-    held = shown.success
-    words = "lifted and held" if held else shown.result["grasp"]["outcome"].replace("_", " ")
-    verdict = f"<p class='verdict {'held' if held else 'failed'}'>{html.escape(words)}</p>"
+    result = shown.result
+    aside = result["as_asked"] is False
+    colour = ("aside" if aside else "held") if result["success"] else "failed"
+    words = f"<p class='verdict {colour}'>{html.escape(verdict(result))}</p>"
     heat = Image.fromarray(draw(shown.subject, _PIXELS, _PIXELS))
     buffer = io.BytesIO()
     heat.save(buffer, format="png", optimize=True)
@@ -67,15 +67,40 @@ def demo_page(shown: Shown) -> str:
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width,initial-scale=1'>"
         f"<title>mjx_grasp: {html.escape(shown.title)}</title><style>{style}</style></head>"
-        f"<body><main><h1>{html.escape(shown.title)}</h1>{verdict}{''.join(sections)}"
+        f"<body><main><h1>{html.escape(shown.title)}</h1>{words}{''.join(sections)}"
         "</main></body></html>\n"
     )
+
+
+def verdict(result: dict[str, Any]) -> str:
+    """What came of a grasp, where it was asked to be and why it failed, in words."""
+    grasp = result["grasp"]
+    if result["success"]:
+        words = "lifted and held"
+    else:
+        words, why = (grasp[which].replace("_", " ") for which in ("outcome", "failure"))
+        if why not in ("none", words):
+            words += f": {why}"
+    if (apart := result["from_anchor_mm"]) is None:
+        return words
+    if result["as_asked"] or not result["success"]:
+        words += ", "
+    else:
+        words += ", but not where it was asked for: "
+    words += f"contacts {apart:.0f} mm from the place, {result['at_best_mm']:.0f} at best"
+    if failed := [each["from_anchor_mm"] for each in result["tries"][:-1]]:
+        before = (
+            "an earlier try" if len(failed) == 1 else f"{len(failed)} earlier tries, the nearest"
+        )
+        words += f"; {before} at {min(failed):.0f} mm failed"
+    return words
 
 
 def _numbers(result: dict[str, Any]) -> str:
     grasp = result["grasp"]
     errors = grasp["tip_error_mm"]
     rows = {
+        "mass": _with(result["mass_kg"], "kg"),
         "handoff after": _with(grasp["handoff_s"], "s"),
         "lift begins after": _with(grasp["lift_s"], "s"),
         "lifted after": _with(grasp["lifted_s"], "s"),
@@ -84,6 +109,7 @@ def _numbers(result: dict[str, Any]) -> str:
         else ", ".join(f"{e:g}" for e in errors) + " mm (thumb, index, middle)",
         "mean force per finger": _with(grasp["force_mean_n"], "N"),
         "largest force": _with(grasp["force_peak_n"], "N"),
+        "tries": str(len(result["tries"])),
         "new plans": str(grasp["replans"]),
         "returns to reaching": str(grasp["returns"]),
     }
@@ -100,7 +126,7 @@ def _numbers(result: dict[str, Any]) -> str:
 
 
 def _with(value: float | None, unit: str) -> str:
-    return "not" if value is None else f"{value:.2f} {unit}"
+    return "–" if value is None else f"{value:.2f} {unit}"
 
 
 def _video(shown: Shown) -> str:

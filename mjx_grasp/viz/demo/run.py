@@ -18,6 +18,7 @@ from rich.progress import Progress
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
+from mjx_grasp.evaluation.grasps.config import BUDGET_N
 from mjx_grasp.evaluation.grasps.kept import GraspEnd, Trace
 from mjx_grasp.evaluation.grasps.problems import Away, draw_problem
 from mjx_grasp.evaluation.grasps.results import GraspRow, grasp_rows
@@ -26,16 +27,20 @@ from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL, Scenario, load_scenario
 from mjx_grasp.evaluation.grasps.trials import home_tips
 from mjx_grasp.evaluation.trajectory import record, save_trajectory
+from mjx_grasp.geometry import so3
+from mjx_grasp.geometry.vectors import turned_back
+from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.objects.model import ObjectModel, load_objects
+from mjx_grasp.objects.model import GRAVITY, ObjectModel, load_objects
 from mjx_grasp.objects.momentum import net_wrench
 from mjx_grasp.pipeline.assemble import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.pressing import budget_for
+from mjx_grasp.posture.body import FINGERS
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_new_folder, replacing, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -53,6 +58,8 @@ SCHEMA = "mjx_grasp.demo/1"
 _STEPS = 6
 _BRIGHTEST = 0.99
 _FARTHEST = 0.5  # an anchor from the object's box, of the object's largest extent
+_ASIDE_MM = 20.0
+"""Contacts so much farther from the place than the nearest ones are not what was asked for."""
 
 
 class Steered(NamedTuple):
@@ -116,6 +123,8 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     grasper = loaded_grasper(robot, file, budget, config.steers, approach)
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
+    if (doubt := too_heavy(scenario.mass_scale * obj.mass, max(budget, BUDGET_N))) is not None:
+        console.print(f"{obj.name}: {doubt}", highlight=False)
     place = _place(obj, config)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
@@ -134,11 +143,12 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         (row,) = grasp_rows([obj.name], problem, end, trace, grasper.dt)
         stages = _stages(trace, grasper.dt)
         contacts = np.asarray(end.state.closing.contacts.position[0], np.float64)
+        tries = _tries(stages, trace, scene, steered.anchor, grasper.dt)
         config.out.mkdir(parents=True, exist_ok=True)
         with clock.step("film"):
             skin = _skin(obj, steered, contacts, end.obstacles[0])
             problem_of_film = _film(scene, skin, trace, grasper.dt, config.out)
-        result = _result(obj, steered, row, stages, contacts, end, clock.seconds, made)
+        result = _result(obj, steered, row, stages, tries, contacts, end, clock.seconds, made)
         result["scenario"] = {"name": name, "description": scenario.description}
         knows_budget = grasper.policy is not None and grasper.policy.observation.budget
         given = budget_for(scenario.weighed * known[0].weight, budget, grasper.config)
@@ -150,7 +160,6 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
         with clock.step("page"):
             shown = Shown(
                 title=_title(obj, steered, scenario.description if name != NOMINAL else None),
-                success=row.outcome == "success",
                 subject=_subject(obj, steered, contacts),
                 curves=_curves(trace, obj, scene, scenario.mass_scale, grasper.dt),
                 stages=stages,
@@ -170,6 +179,23 @@ def _check_object(asked: str, name: str, scenario: Scenario) -> None:
     if scenario.objects and not set(resolve([asked])) <= set(resolve(scenario.objects)):
         own = ", ".join(scenario.objects)
         raise InputError("object", asked, f"{own}, as the scenario {name} is of that alone")
+
+
+def too_heavy(mass: float, force: float) -> str | None:
+    """Why an object may well stay on the table; None of one that the hand can carry.
+
+    Args:
+        mass: Its own [kg].
+        force: Mean of what each finger may press with [N].
+    """
+    friction = ContactConfig().friction
+    most = FINGERS * friction * force / GRAVITY
+    if mass <= most:
+        return None
+    return (
+        f"{mass:.3g} kg; fingers that press with {force:g} N each carry about {most:.2g} kg by a "
+        f"friction of {friction:g}, so it may well stay where it is"
+    )
 
 
 def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
@@ -226,6 +252,25 @@ def _stages(trace: Trace, dt: float) -> list[Stage]:
         Stage(Phase(int(phase[a])).name.lower(), round(a * dt, 3), round(b * dt, 3))
         for a, b in zip(starts.tolist(), ends, strict=True)
     ]
+
+
+def _tries(
+    stages: list[Stage],
+    trace: Trace,
+    scene: Scene,
+    anchor: Float[np.ndarray, " 3"] | None,
+    dt: float,
+) -> list[dict[str, float | None]]:
+    """When the hand closed, and how far from the place the contacts were that it closed on."""
+    found = []
+    for stage in stages:
+        if stage.name == Phase.CLOSING.name.lower():
+            tick = round(stage.start / dt)
+            pose = jnp.asarray(trace.qpos)[tick, 0, scene.addresses.object_qpos]
+            contacts = turned_back(so3.quat_to_mat(pose[3:]), trace.contacts[tick, 0] - pose[:3])
+            apart = from_anchor(anchor, np.asarray(contacts, np.float64))
+            found.append({"start_s": stage.start, "from_anchor_mm": apart})
+    return found
 
 
 def _skin(
@@ -300,11 +345,24 @@ def from_anchor(
     return round(1e3 * float(np.linalg.norm(contacts - anchor, axis=1).mean()), 1)
 
 
+def as_asked(apart_mm: float | None, best_mm: float | None) -> bool | None:
+    """Whether contacts are about as near to the place as can be; None of no place.
+
+    Args:
+        apart_mm: Their distance from it, see `from_anchor` [mm].
+        best_mm: That of the contacts with the best score [mm].
+    """
+    if apart_mm is None or best_mm is None:
+        return None
+    return apart_mm <= best_mm + _ASIDE_MM
+
+
 def _result(
     obj: ObjectModel,
     steered: Steered,
     row: GraspRow,
     stages: list[Stage],
+    tries: list[dict[str, float | None]],
     contacts: Float[np.ndarray, "3 3"],
     end: GraspEnd,
     seconds: dict[str, float],
@@ -312,17 +370,21 @@ def _result(
 ) -> dict[str, Any]:
     """What `result.json` holds."""
     normals = np.asarray(end.state.closing.contacts.normal[0], np.float64)
+    apart, best = from_anchor(steered.anchor, contacts), from_anchor(steered.anchor, steered.best)
     return {
         "schema": SCHEMA,
         "object": obj.name,
         "mesh": obj.source,
+        "mass_kg": round(obj.mass, 4),
         "asked": steered.source,
         "anchor_m": None if steered.anchor is None else np.round(steered.anchor, 4).tolist(),
         "success": row.outcome == "success",
+        "as_asked": as_asked(apart, best),
         "phases": [stage._asdict() for stage in stages],
+        "tries": tries,
         "contacts_m": np.round(contacts, 4).tolist(),
-        "from_anchor_mm": from_anchor(steered.anchor, contacts),
-        "at_best_mm": from_anchor(steered.anchor, steered.best),
+        "from_anchor_mm": apart,
+        "at_best_mm": best,
         "normals": np.round(normals, 4).tolist(),
         "grasp": asdict(row),
         "seconds": seconds,

@@ -54,9 +54,9 @@ def demo_page(shown: Shown) -> str:
         _section(
             "Where to grasp",
             _image(buffer.getvalue(), "the heatmap with the chosen three points")
-            + "<p class='note'>Yellow suits the thumb best. Red: the thumb's contact; white: those "
-            "of index and middle finger, rings where they are on the far side; a cross: the "
-            "anchor.</p>",
+            + "<p class='note'>Yellow suits the thumb best. Red: the thumb's contact; white: where "
+            "index and middle finger aim, to either side of the point that opposes the thumb, "
+            "rings where that is on the far side; a cross: the anchor.</p>",
         ),
         _section("In numbers", _numbers(shown.result)),
         _section("Over time", _image(grasp_plot(shown.curves, shown.stages), "curves over time")),

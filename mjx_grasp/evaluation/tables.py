@@ -68,6 +68,8 @@ NOT_KEPT = ", not kept"
 """Behind the name of a policy that is told its budget and not held to it."""
 POLICIES = "policy", f"policy{NOT_KEPT}"
 """The families of a policy that has no name of its own."""
+BEGAN_WITH = "policy that it began with"
+"""The family of the policy that a training began with, beside what it made of it."""
 
 
 class Column(NamedTuple):

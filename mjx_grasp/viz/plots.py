@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -21,7 +22,8 @@ from matplotlib.ticker import EngFormatter
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.front_tables import Front
 from mjx_grasp.evaluation.judging import interval
-from mjx_grasp.evaluation.tables import POLICIES, Column
+from mjx_grasp.evaluation.tables import BEGAN_WITH, POLICIES, Column
+from mjx_grasp.viz.labels import Label, place
 
 Metrics = dict[str, Float[np.ndarray, " t"]]
 
@@ -35,17 +37,16 @@ _BLUE, _ORANGE = "#2563a8", "#c8641e"
 GREY = "#5b6470"
 """Of words."""
 _MARKERS = (("o", _BLUE), ("^", "#7a4fa3"), ("v", "#b03060"), ("P", "#5b6470"))
-_LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57")}
-# Of the words beside a point: below or beside the points of these, above those of others.
-_LABELS, _ABOVE = {"squeeze": (9, -9), "grip": (8, -3), "policy": (7, -9)}, (-5, 6)
+_LOOKS = {"squeeze": ("s", _ORANGE), "grip": ("D", "#2e8b57"), BEGAN_WITH: ("o", GREY)}
 _HELD, _TOLD = POLICIES
 _TITLE = 46  # letters in a line above a panel
-_ROOM = 0.36, 6.0  # N and % that words of two points need between them
+_ROOM = 0.36, 6.0  # N and % that two points with words need between them
 _LEGEND = {
     "squeeze": "squeeze, by the force commanded",
     "grip": "answering grip, by its μ₀",
     _HELD: "policy, held to its budget",
     _TOLD: "policy, told its budget alone",
+    BEGAN_WITH: BEGAN_WITH,
 }
 _BUDGETS = tuple(np.linspace(0.0, 8.0, 81).tolist())  # N
 _SMOOTHING = 15  # rows, at most; and never more than a tenth of the curve
@@ -118,27 +119,28 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     points = {title: _points(columns) for title, columns in panels.items()}
     families = sorted({p.family for part in points.values() for p in part} - _LOOKS.keys())
     looks = _LOOKS | dict(zip(families, itertools.cycle(_MARKERS)))
+    lowest = min(p.interval[0] for part in points.values() for p in part)
     figure = new_figure(4.2 * len(panels), 4.2)
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
         style(ax)
-        ax.set_ylim(0, 109)  # words stand above the points
+        ax.set_ylim(20 * (lowest // 20), 109)  # words stand above the points
         ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
         ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in dict.fromkeys(p.family for p in part):
             own = [p for p in part if p.family == family]
-            # Beside one that is held to its budgets the other has the same, in their order.
-            words = family != _TOLD or all(p.family != _HELD for p in part)
-            shown[family] = _front(ax, own, *looks[family], words)
+            shown[family] = _front(ax, own, *looks[family])
     grid[0].set_xlim(0, 1.25 * max(p.force for part in points.values() for p in part))
     grid[0].set_ylabel("mean success over the objects [%]", fontsize=9, color=GREY)
     names = [name for name in dict.fromkeys((*_LEGEND, *families)) if name in shown]
     figure.legend(
         handles=[shown[name] for name in names],
         labels=[_LEGEND.get(name, name) for name in names],
-        loc="outside lower center", ncols=min(4, 2 * len(panels) - 1), frameon=False, fontsize=8,
+        loc="outside lower center", ncols=min(4, 2 * len(panels)), frameon=False, fontsize=8,
     )  # fmt: skip
+    for ax, part in zip(grid, points.values(), strict=True):
+        place(ax, _labels(part, looks))
     return png(figure)
 
 
@@ -207,39 +209,37 @@ def _points(columns: Sequence[Column]) -> list[_Point]:
     return points
 
 
-def _front(
-    ax: Axes, points: Sequence[_Point], marker: str, colour: str, words: bool
-) -> ErrorbarContainer:
-    """Controllers of one family, joined; with words, what they were asked for where there is room.
-
-    Args:
-        ax: Where to.
-        points: The controllers.
-        marker: Of the points.
-        colour: Of the points and words.
-        words: Whether there are any.
-    """
-    points, named = sorted(points), None
-    x, y = _LABELS.get(points[0].family, _ABOVE)
+def _front(ax: Axes, points: Sequence[_Point], marker: str, colour: str) -> ErrorbarContainer:
+    """Controllers of one family, joined. What a training began with is a ring around its policy."""
+    points = sorted(points)
+    ring = {"markerfacecolor": "none", "markersize": 11, "zorder": 1}
+    look = ring if points[0].family == BEGAN_WITH else {"markersize": 6}
     ax.plot([p.force for p in points], [p.mean for p in points], color=colour, alpha=0.5)
     for point in points:
         low, high = point.interval
         dot = ax.errorbar(
             point.force, point.mean, yerr=[[point.mean - low], [high - point.mean]], fmt=marker,
-            color=colour, capsize=3, markersize=6,
+            color=colour, capsize=3, **look,
         )  # fmt: skip
-        if words and len(points) > 1 and (named is None or _apart(named, point)):
-            named = point
-            ax.annotate(
-                point.setting.rpartition(", ")[2].removeprefix("budget "),
-                (point.force, point.mean), xytext=(x, y), textcoords="offset points",
-                color=colour, fontsize=7, ha="left" if x > 0 else "right",
-            )  # fmt: skip
     return dot
 
 
+def _labels(points: Sequence[_Point], looks: Mapping[str, tuple[str, str]]) -> list[Label]:
+    """What the points of families with several were asked for, where they are apart."""
+    count, named, labels = Counter(p.family for p in points), dict[str, _Point](), []
+    # Beside these, others were asked for the same, in their order.
+    beside = (BEGAN_WITH, *((_TOLD,) if _HELD in count else ()))
+    for point in sorted(points):
+        family, last = point.family, named.get(point.family)
+        if count[family] > 1 and family not in beside and (last is None or _apart(last, point)):
+            named[family] = point
+            text = point.setting.rpartition(", ")[2].removeprefix("budget ")
+            labels.append(Label(text, point.force, point.mean, looks[family][1]))
+    return labels
+
+
 def _apart(one: _Point, other: _Point) -> bool:
-    """Whether words beside both can be read."""
+    """Whether it is plain which of two points words are of."""
     force, success = _ROOM
     return abs(other.force - one.force) > force or abs(other.mean - one.mean) > success
 

@@ -40,3 +40,27 @@ def test_what_is_wide_either_way_stays_as_it_is() -> None:
     assert square.turned()._width() >= square._width()
     rows = [line for line in printed(square, 60).splitlines() if "bbb" in line]
     assert all(line.startswith("│ b") for line in rows)
+
+
+def test_what_is_the_same_in_all_rows_is_said_once() -> None:
+    rows = (("easy", "policy", "1"), ("easy", "squeeze", "2"))
+    table = Table("Success", ("condition", "controller", "N"), rows, names=2).condensed()
+    assert table.title == "easy. Success" and table.header == ("controller", "N")
+    assert table.rows == (("policy", "1"), ("squeeze", "2"))
+    assert table.condensed() == table, "names of the only column stay"
+    header, hard = ("condition", "controller", "N"), ("hard", "policy", "3")
+    several = Table("Success", header, (*rows, hard), names=2)
+    assert several.condensed() == several
+
+
+def test_the_narrow_way_round_has_fewer_columns() -> None:
+    narrow = WIDE.narrow()
+    assert len(narrow.rows) == 16 and narrow.header == ("", "rubiks cube", "mean %")
+    assert narrow.narrow() == narrow
+
+
+def test_on_a_page_an_interval_is_not_taken_apart_and_an_empty_cell_is_empty() -> None:
+    long = Table("T", ("object", "N"), (("a", "1 (0–2)"), ("b", "2"), ("c", "")))
+    assert "<th>object</th><th>N</th>" in long.html()
+    assert "<td>a</td><td><span>1</span> <span>(0–2)</span></td>" in long.html()
+    assert "<td>c</td><td></td>" in long.html()

@@ -13,8 +13,8 @@ from typing import Any
 from markdown_tables import NOTHING, markdown, read, short_revision
 from paper_parts import Part, fewer
 
-from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.tables import read_groups
+from mjx_grasp.evaluation.verdict import verdict
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table
 
@@ -135,7 +135,7 @@ def first_run(path: Path) -> str:
         f"objects in training from {m['success_first_tenth_percent']:.0f} to "
         f"{m['success_last_tenth_percent']:.0f} % (first and last tenth of the iterations)."
         + _before_and_after(d)
-        + "".join(f" {sentence}" for sentence in headline(read_groups([path])))
+        + "".join(f" {sentence}" for sentence in verdict(read_groups([path])))
     )
 
 

@@ -1,4 +1,4 @@
-"""Who lifts more with the same force: tables and sentences on controllers from the same starts."""
+"""Who lifts more with the same force: tables of controllers from the same starts."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mjx_grasp.evaluation.judging import (
     Estimate,
     SameStarts,
     Weights,
+    at_equal_force,
     gain_at_equal_force,
     gains_within,
     mean_force,
@@ -21,12 +22,12 @@ from mjx_grasp.evaluation.judging import (
     success_within,
     success_within_by_any,
 )
-from mjx_grasp.evaluation.tables import POLICIES, Column, Condition, Groups
+from mjx_grasp.evaluation.tables import BEGAN_WITH, POLICIES, Column, Condition, Groups
 from mjx_grasp.records.table import Table
 
 BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 _OBJECT_BUDGETS_N = (3.0, 4.0)
-_BASELINES = ("squeeze", "grip")
+BASELINES = ("squeeze", "grip")
 
 
 class Front(NamedTuple):
@@ -39,11 +40,30 @@ class Front(NamedTuple):
 
     def against(self, one: int, family: str) -> Estimate:
         """Gain of one controller over a family at equal force [points]."""
-        order = [one, *self.families[family]]
-        trials = self.trials._replace(
-            success=self.trials.success[order], force=self.trials.force[order]
+        trials, others = self._beside(one, family)
+        return gain_at_equal_force(trials, self.weights, others)
+
+    def peaks_at(self, one: int, family: str) -> tuple[float, float]:
+        """A family's peaks, as `peaks_of` has them, at the force of one controller [N]."""
+        trials, others = self._beside(one, family)
+        peaks = zip(*(peaks_of(self.columns[i]) for i in self.families[family]), strict=True)
+        median, high = (
+            at_equal_force(trials, self.weights[:1], others, np.array([part])) for part in peaks
         )
-        return gain_at_equal_force(trials, self.weights, range(1, len(order)))
+        return float(median[0]), float(high[0])
+
+    def before(self, one: int) -> int | None:
+        """What a trained policy is compared with: the one it began with, asked for the same."""
+        column = self.columns[one]
+        asked = column.label.removeprefix(column.family)
+        labels = [other.label for other in self.columns]
+        return labels.index(BEGAN_WITH + asked) if BEGAN_WITH + asked in labels else None
+
+    def _beside(self, one: int, family: str) -> tuple[SameStarts, Sequence[int]]:
+        """Trials of one controller, then of a family; and which these are."""
+        order = [one, *self.families[family]]
+        success, force = self.trials.success[order], self.trials.force[order]
+        return self.trials._replace(success=success, force=force), range(1, len(order))
 
     def within(self, family: str, budgets: Sequence[float]) -> Float[np.ndarray, "r b"]:
         """Success of a family within budgets, as it was and with the starts drawn anew [%]."""
@@ -57,7 +77,7 @@ class Front(NamedTuple):
 
     def others(self, family: str) -> list[str]:
         """The baselines beside a family."""
-        return [name for name in _BASELINES if name in self.families and name != family]
+        return [name for name in BASELINES if name in self.families and name != family]
 
 
 def fronts(columns: Sequence[Column]) -> list[Front]:
@@ -86,7 +106,7 @@ def fronts(columns: Sequence[Column]) -> list[Front]:
 def front_panels(groups: Groups) -> dict[str, Front]:
     """The controllers that can be compared, by the condition's words; the first set of each."""
     panels: dict[str, Front] = {}
-    for condition, front in _all(groups):
+    for condition, front in all_fronts(groups):
         panels.setdefault(condition.short(), front)
     return panels
 
@@ -99,13 +119,13 @@ def equal_force_table(groups: Groups) -> Table:
     than the share of trials in which that fails.
     """
     rows = []
-    for condition, front in _all(groups):
+    for condition, front in all_fronts(groups):
         success = mean_success(front.trials, front.weights[:1])[0]
         force = mean_force(front.trials, front.weights[:1])[0]
         for i in (i for name, part in front.families.items() if name != "squeeze" for i in part):
             column = front.columns[i]
             gains = []
-            for name in _BASELINES:
+            for name in BASELINES:
                 if name in front.families and name != column.family:
                     gain = front.against(i, name)
                     gains += [gain.text(), f"{max(0.0, gain.value + 100.0 - success[i]):.1f}"]
@@ -118,12 +138,12 @@ def equal_force_table(groups: Groups) -> Table:
                     f"{success[i]:.1f}",
                     f"{force[i]:.1f}",
                     *gains,
-                    "{:.1f} / {:.0f}".format(*_peaks(column)),
+                    peaks_text(peaks_of(column)),
                 )
             )
     header = (
         *("condition", "controller", "success %", "force N"),
-        *(cell for name in _BASELINES for cell in (f"− {name} at this force", "most possible")),
+        *(cell for name in BASELINES for cell in (f"− {name} at this force", "most possible")),
         "peak N, median / 99th percentile",
     )
     return Table("At equal force, points", header, tuple(rows), names=2)
@@ -137,7 +157,7 @@ def budget_table(groups: Groups) -> Table:
     """
     rows = []
     asked = np.asarray(BUDGETS_N)
-    for condition, front in _all(groups):
+    for condition, front in all_fronts(groups):
         shares = {name: front.within(name, BUDGETS_N)[0] for name in front.families}
         shares["best of each trial"] = success_within_by_any(
             front.trials, front.weights[:1], asked
@@ -159,7 +179,7 @@ def object_budget_table(groups: Groups) -> Table:
     """
     rows = []
     asked = np.asarray(_OBJECT_BUDGETS_N)
-    for condition, front in _all(groups):
+    for condition, front in all_fronts(groups):
         names, of = sorted(front.columns[0].rows), front.trials.object
         policies = [i for name in POLICIES for i in front.families.get(name, ())]
         if not policies or len(names) == 1:
@@ -177,37 +197,14 @@ def object_budget_table(groups: Groups) -> Table:
     return Table(title, tuple(header), tuple(rows), names=2)
 
 
-def headline(groups: Groups) -> list[str]:
-    """What came of the policies, in sentences: success, force, peaks, and the baselines'."""
-    sentences = []
-    for _, front in _all(groups):
-        success = mean_success(front.trials, front.weights[:1])[0]
-        force = mean_force(front.trials, front.weights[:1])[0]
-        for i, column in enumerate(front.columns):
-            if column.family in _BASELINES:
-                continue
-            median, high = _peaks(column)
-            against = [
-                f"a {name} of the same force lifts {success[i] - gain.value:.1f} %, "
-                f"{gain.text()} points"
-                for name in front.others(column.family)
-                for gain in [front.against(i, name)]
-            ]
-            sentences.append(
-                f"{column.label}: {success[i]:.1f} % lifted at {force[i]:.1f} N per finger, "
-                f"largest force on a finger {median:.1f} N in the median and {high:.1f} N in the "
-                f"99th percentile; {'; '.join(against)}."
-            )
-    return sentences
-
-
-def _all(groups: Groups) -> Iterator[tuple[Condition, Front]]:
+def all_fronts(groups: Groups) -> Iterator[tuple[Condition, Front]]:
+    """The controllers that can be compared, condition by condition."""
     for condition, columns in groups.items():
         for front in fronts(columns):
             yield condition, front
 
 
-def _peaks(column: Column) -> tuple[float, float]:
+def peaks_of(column: Column) -> tuple[float, float]:
     """Mean over the objects of the median, and of the 99th percentile, of the peak force [N]."""
     peaks = [
         (row.force_peak_p50_n, row.force_peak_p99_n)
@@ -216,3 +213,8 @@ def _peaks(column: Column) -> tuple[float, float]:
     ]
     median, high = np.mean(peaks, axis=0) if peaks else (np.nan, np.nan)
     return float(median), float(high)
+
+
+def peaks_text(peaks: tuple[float, float]) -> str:
+    """Such peaks as a cell; empty where they were not kept."""
+    return "{:.1f} / {:.0f}".format(*peaks) if np.isfinite(peaks).all() else ""

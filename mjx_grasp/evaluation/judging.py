@@ -37,6 +37,11 @@ class Estimate(NamedTuple):
     value: float
     ci95: Interval
 
+    def sign(self) -> int:
+        """1 or -1 where the interval, as it is written, is above or below nothing; else 0."""
+        low, high = (round(limit, 1) for limit in self.ci95)
+        return (low > 0.0) - (high < 0.0)
+
     def text(self) -> str:
         """As a difference in points."""
         low, high = self.ci95
@@ -135,18 +140,40 @@ def gain(trials: SameStarts, weights: Weights, first: int, second: int) -> Estim
 def gain_at_equal_force(trials: SameStarts, weights: Weights, others: Sequence[int]) -> Estimate:
     """By how much the first controller lifts more often than the others at its force [points].
 
-    The others, one controller at several settings, are joined by straight lines that begin with no
-    success at no force and stay level beyond the largest. Those that a lighter one beats are left
-    out.
+    The others are read as `at_equal_force` does.
     """
-    success, force = mean_success(trials, weights), mean_force(trials, weights)
-    order = np.argsort(np.nan_to_num(force[:, others]), axis=1)
-    x = np.take_along_axis(np.nan_to_num(force[:, others]), order, axis=1)
-    y = np.take_along_axis(success[:, others], order, axis=1)
-    x, y = (np.pad(values, ((0, 0), (1, 0))) for values in (x, y))
+    success = mean_success(trials, weights)
+    theirs = at_equal_force(trials, weights, others, success[:, others])
+    return _estimate(success[:, 0] - theirs)
+
+
+def at_equal_force(
+    trials: SameStarts,
+    weights: Weights,
+    others: Sequence[int],
+    values: Float[np.ndarray, "r k"],
+) -> Float[np.ndarray, " r"]:
+    """What the others have, at the force of the first controller.
+
+    The others, one controller at several settings, are joined by straight lines that begin with
+    nothing at no force and stay level beyond the largest. Those that a lighter one beats are left
+    out.
+
+    Args:
+        trials: The first controller's and the others'.
+        weights: See `resampled`.
+        others: The settings.
+        values: What is read, of each.
+    """
+    success, force = mean_success(trials, weights), np.nan_to_num(mean_force(trials, weights))
+    order = np.argsort(force[:, others], axis=1)
+    x, y, z = (
+        np.pad(np.take_along_axis(part, order, axis=1), ((0, 0), (1, 0)))
+        for part in (force[:, others], success[:, others], values)
+    )
     kept = y >= np.maximum.accumulate(y, axis=1)
-    at = zip(np.nan_to_num(force[:, 0]), x, y, kept, strict=True)
-    return _estimate(success[:, 0] - np.array([np.interp(f, u[k], v[k]) for f, u, v, k in at]))
+    at = zip(force[:, 0], x, z, kept, strict=True)
+    return np.array([np.interp(f, u[k], v[k]) for f, u, v, k in at])
 
 
 def success_within(

@@ -10,12 +10,12 @@ import numpy as np
 from rich.console import Console
 
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import evaluate, model_based
-from mjx_grasp.evaluation.tables import read_groups, success_table, untrained_note
+from mjx_grasp.evaluation.tables import BEGAN_WITH, read_groups, success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
+from mjx_grasp.evaluation.verdict import result_table, verdict
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.learning.controller import deployed_task, policy_task
 from mjx_grasp.learning.policy import Policy, load_policy
@@ -30,7 +30,6 @@ from mjx_grasp.training.start import start_policy
 SQUEEZE_FORCES_N = (3.0, 5.0, 8.0)
 GRIP_FRICTIONS = (0.4, 0.7)
 """μ₀ of the grips beside a policy that adds to one: each is a point of the grip's front."""
-BEGAN_WITH = "policy that it began with"
 FORCE_BUDGETS_N = (1.5, 3.0)
 """That a policy which knows a budget is given."""
 
@@ -88,7 +87,10 @@ def evaluate_run(
     console.print(success_table(rows, scans=config.scans))
     for force in untrained.values():
         console.print(untrained_note(force))
-    for sentence in headline(read_groups([base.out])):
+    groups = read_groups([base.out])
+    if (result := result_table(groups)).rows:
+        console.print(result)
+    for sentence in verdict(groups):
         console.print(sentence)
 
     shown = best_grasp(held_out, states.object_names[0], policy, config.noise, base.seed)

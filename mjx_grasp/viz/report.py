@@ -17,7 +17,6 @@ from mjx_grasp.evaluation.front_tables import (
     budget_table,
     equal_force_table,
     front_panels,
-    headline,
 )
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.tables import (
@@ -28,6 +27,7 @@ from mjx_grasp.evaluation.tables import (
     read_groups,
     untrained_note,
 )
+from mjx_grasp.evaluation.verdict import result_table, verdict
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.viz.plots import (
     read_metrics,
@@ -65,19 +65,22 @@ def write_report(
         provenance = read_results(results_paths[0]).provenance
     groups = read_groups(results_paths)
     sections = [
-        *([_section("Result", first)] if (first := _headline(groups)) else []),
-        _section("A grasp", _video(video_path, video_problem)),
-        _section("Success", _results(groups, results_paths)),
+        _result(groups, results_paths),
+        _side_by_side(_front(groups), _video(video_path, video_problem)),
         _section("Training", _curves(run / "metrics.csv")),
-        _section("Configuration", _facts(_stored(run / "config.json"), "config.json")),
-        _section("Provenance", _facts(provenance, "provenance.json")),
+        _section("Success in detail", _results(groups)) if groups else "",
+        _section(
+            "How it was made",
+            _facts(_stored(run / "config.json"), "config.json")
+            + _facts(provenance, "provenance.json"),
+        ),
     ]
     style = asset_path("report.css").read_text()
     page = (
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
-        "<meta name='viewport' content='width=device-width'>"
+        "<meta name='viewport' content='width=device-width,initial-scale=1'>"
         f"<title>mjx_grasp: {html.escape(run.name)}</title><style>{style}</style></head>"
-        f"<body><main><h1>Training {html.escape(run.name)}</h1>"
+        f"<body><main class='run'><h1>Training {html.escape(run.name)}</h1>"
         f"<p class='lead'>{html.escape(_lead(provenance))}</p>{''.join(sections)}"
         "</main></body></html>\n"
     )
@@ -123,48 +126,67 @@ def _video(path: str | Path | None, problem: str | None) -> str:
     if Path(path).suffix == ".gif":
         return _image(data, "a grasp", "image/gif")
     source = f"data:video/mp4;base64,{base64.b64encode(data).decode()}"
-    return f"<video src='{source}' controls autoplay loop muted playsinline></video>"
+    video = f"<video src='{source}' controls autoplay loop muted playsinline></video>"
+    return video + _caption("A grasp of the trained policy.")
 
 
-def _headline(groups: Groups) -> str:
-    """What came of it in a few sentences, and as a picture where forces were kept."""
-    said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in headline(groups))
+def _result(groups: Groups, paths: Sequence[str | Path]) -> str:
+    """What came of it, in a sentence and a small table."""
+    if not paths:
+        return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
+    sentences = (each.replace(" %", "\N{NO-BREAK SPACE}%") for each in verdict(groups))
+    said = "".join(f"<p class='verdict'>{html.escape(each)}</p>" for each in sentences)
+    table = result_table(groups)
+    extras = [read_results(path).extra for path in paths]
+    untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
+    notes = "".join(_note(untrained_note(force)) for force in untrained)
+    return f"<section class='result'>{said}{table.html() if table.rows else ''}{notes}</section>"
+
+
+def _front(groups: Groups) -> str:
+    """Success against force as a picture, where forces were kept."""
     panels = {
-        condition.short(): columns
+        condition.short() if len(groups) > 1 else "": columns
         for condition, columns in groups.items()
         if any(force is not None for c in columns for force in c.forces())
     }
-    picture = success_against_force(panels) if panels else None
-    return said + (_image(picture, "mean success against mean contact force") if picture else "")
+    if not panels:
+        return ""
+    picture = _image(success_against_force(panels), "mean success against mean contact force")
+    return picture + _caption("Success against force, a point per setting: up and left is better.")
 
 
-def _results(groups: Groups, paths: Sequence[str | Path]) -> str:
-    if not paths:
-        return _note("No evaluation in this run: python -m mjx_grasp.evaluate makes one.")
-    tables = (make(groups) for make in (equal_force_table, budget_table))
-    parts = [table.html() for table in tables if table.rows]
+def _side_by_side(*parts: str) -> str:
+    return f"<div class='beside'>{''.join(f'<div>{part}</div>' for part in parts if part)}</div>"
+
+
+def _results(groups: Groups) -> str:
+    tables = (make(groups).condensed() for make in (equal_force_table, budget_table))
+    parts = [condition_table(*group).narrow().html() for group in groups.items()]
+    detail = [table.html() for table in tables if table.rows]
     if panels := front_panels(groups):
-        parts.append(_image(success_within_budgets(panels), "success within a force budget"))
-    for condition, columns in groups.items():
-        parts.append(condition_table(condition, columns).html())
-        detail = force_table(condition, columns).html() + failure_table(condition, columns).html()
-        parts.append(f"<details><summary>forces and failures</summary>{detail}</details>")
-    extras = [read_results(path).extra for path in paths]
-    untrained = {float(e["untrained_n"]) for e in extras if "untrained_n" in e}
-    return "".join([*parts, *(_note(untrained_note(force)) for force in untrained)])
+        detail.append(_image(success_within_budgets(panels), "success within a force budget"))
+    for group in groups.items():
+        detail += [make(*group).narrow().html() for make in (force_table, failure_table)]
+    return "".join(parts) + _details("budgets, forces and failures", "".join(detail))
 
 
 def _curves(path: Path) -> str:
     try:
-        return _image(training_curves(read_metrics(path)), "training curves")
+        curves = _image(training_curves(read_metrics(path)), "training curves")
     except FileError as error:
         return _note(f"No curves: {error}.")
+    return f"<div class='curves'>{curves}</div>"
 
 
 def _facts(values: dict[str, Any] | None, name: str) -> str:
     if values is None:
         return _note(f"The run has no readable {name}.")
-    return f"<pre>{html.escape(json.dumps(values, indent=2))}</pre>"
+    return _details(name, f"<pre>{html.escape(json.dumps(values, indent=2))}</pre>")
+
+
+def _details(title: str, body: str) -> str:
+    return f"<details><summary>{title}</summary>{body}</details>"
 
 
 def _stored(path: Path) -> dict[str, Any] | None:
@@ -176,6 +198,10 @@ def _stored(path: Path) -> dict[str, Any] | None:
 
 def _image(data: bytes, alt: str, kind: str = "image/png") -> str:
     return f"<img alt='{alt}' src='data:{kind};base64,{base64.b64encode(data).decode()}'>"
+
+
+def _caption(text: str) -> str:
+    return f"<p class='lead'>{text}</p>"
 
 
 def _note(text: str) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kept_trials import groups_of, row, squeeze
 from scipy import stats
 
 from mjx_grasp.errors import InputError
@@ -13,7 +14,6 @@ from mjx_grasp.evaluation.front_tables import (
     budget_table,
     equal_force_table,
     fronts,
-    headline,
     object_budget_table,
 )
 from mjx_grasp.evaluation.judging import (
@@ -27,32 +27,8 @@ from mjx_grasp.evaluation.judging import (
     success_within,
     success_within_by_any,
 )
-from mjx_grasp.evaluation.results import ResultRow, write_results
-from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.evaluation.tables import read_groups
-from mjx_grasp.robot.identity import FIRST_ROBOT
 
 BUDGETS = np.array([0.5, 1.0, 2.0, 4.0, 9.0])
-
-
-def row(outcomes, forces, starts=None, name="apple", **changes):
-    lifted = [f for f in forces if f is not None]
-    n, successes = len(outcomes), outcomes.count("S")
-    values = dict(
-        object=name, controller="policy", engine="mujoco", episodes=n, successes=successes,
-        never_lifted=outcomes.count("L"), not_held=outcomes.count("H"),
-        slipped=outcomes.count("P"), ci95=wilson_interval(successes, n),
-        force_mean_n=float(np.mean(lifted)) if lifted else None, force_peak_n=9.0,
-        squeeze_force_n=None, offset_mm=5.0, angle_deg=0.0, friction=0.8, handoffs="ik",
-        outcomes=outcomes, forces_n=tuple(forces),
-        starts=tuple(range(n) if starts is None else starts),
-        force_peak_p50_n=3.0, force_peak_p99_n=7.0,
-    )  # fmt: skip
-    return ResultRow(**(values | changes))
-
-
-def squeeze(force, *args, **changes):
-    return row(*args, controller="squeeze", squeeze_force_n=force, squeeze_split="even", **changes)
 
 
 @st.composite
@@ -234,14 +210,6 @@ def test_a_trial_that_never_began_to_lift_has_no_force():
     assert np.isfinite(gain_at_equal_force(found, weights, [1]).ci95).all()
 
 
-PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "a card", "seed": 0}
-
-
-def groups_of(tmp_path, *rows):
-    write_results(tmp_path / "r.json", list(rows), PROVENANCE, FIRST_ROBOT)
-    return read_groups([tmp_path / "r.json"])
-
-
 def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     forces = (2.0,) * 4
     rows = [
@@ -277,9 +245,6 @@ def test_policies_and_grips_stand_beside_the_fronts_of_the_baselines(tmp_path):
     assert "squeeze − grip" not in budgets
 
     assert not object_budget_table(groups).rows, "of one object it is the table before"
-    text = " ".join(headline(groups))
-    assert "policy, budget 3 N: 100.0 % lifted at 2.0 N per finger" in text
-    assert "a squeeze of the same force lifts 50.0 %, +50.0 (" in text
 
 
 def test_a_policy_that_is_only_told_its_budget_is_a_family_of_its_own(tmp_path):
@@ -322,4 +287,3 @@ def test_files_of_before_have_no_front(tmp_path):
         replace(squeeze(3.0, "SL", (1.0, 2.0)), starts=()),
     )
     assert not equal_force_table(groups).rows and not budget_table(groups).rows
-    assert headline(groups) == []

@@ -1,5 +1,6 @@
 """What follows a training is of the training's own condition and task."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,11 @@ from rich.console import Console
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
 from mjx_grasp.evaluation.config import EvaluateConfig
-from mjx_grasp.evaluation.front_tables import headline
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate, summarise
 from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.evaluation.trials import Trials
+from mjx_grasp.evaluation.verdict import verdict
 from mjx_grasp.learning.controller import deployed_task
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
@@ -91,15 +92,18 @@ def test_the_policy_that_a_training_began_with_is_evaluated_beside_it(
     ):
         monkeypatch.setattr(after, name, instead)
     states = handmade.handoffs(scene.objects)
-    after.evaluate_run(tmp_path, config, World(scene, starts), states, Console(quiet=True))
+    console = Console(record=True, file=io.StringIO(), width=200)
+    after.evaluate_run(tmp_path, config, World(scene, starts), states, console)
     rows = read_results(tmp_path / "results.json").rows
     assert [(r.label, r.force_budget_n) for r in rows if r.controller == "policy"] == [
         (name, budget) for name in (None, after.BEGAN_WITH) for budget in after.FORCE_BUDGETS_N
     ]
     assert all(row.label is None for row in rows if row.controller != "policy")
     assert sum(policy is not None for policy in asked) == 2 * len(after.FORCE_BUDGETS_N)
-    said = " ".join(headline(read_groups([tmp_path / "results.json"])))
-    assert f"{after.BEGAN_WITH}, budget 3 N: " in said
+    (said,) = verdict(read_groups([tmp_path / "results.json"]))
+    way = "100.0 → 100.0 % at 2.5 N"
+    assert f"Training did not change success beyond its 95 % interval ({way}, {way}); at" in said
+    assert said in " ".join(console.export_text().split())
 
 
 @pytest.mark.parametrize(

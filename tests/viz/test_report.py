@@ -6,11 +6,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
+from browser import browsing
 from PIL import Image
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
+from mjx_grasp.evaluation.tables import BEGAN_WITH
 from mjx_grasp.robot.identity import FIRST_ROBOT
 from mjx_grasp.viz.report import write_report
 
@@ -98,26 +100,54 @@ def test_a_gif_is_shown_as_a_picture(run):
     assert "video" not in page.tags
 
 
+def kept(successes, force=None):
+    """A row whose outcomes, forces and starts were kept."""
+    return replace(
+        result(successes, force),
+        outcomes="S" * successes + "L" * (64 - successes),
+        forces_n=(2.0 + (force or 0),) * 64,
+        force_peak_p50_n=4.0,
+        force_peak_p99_n=8.0,
+        starts=tuple(range(64)),
+    )
+
+
 def test_the_report_begins_with_what_came_of_it(run):
     """Where forces and starts were kept: the policy against a squeeze of its own force."""
-    kept = dict(force_peak_p50_n=4.0, force_peak_p99_n=8.0, starts=tuple(range(64)))
-    rows = [
-        replace(
-            result(n, force),
-            outcomes="S" * n + "L" * (64 - n),
-            forces_n=(2.0 + (force or 0),) * 64,
-            **kept,
-        )
-        for n, force in ((60, None), (40, 3.0))
-    ]
-    for results, said in (([result(60), result(40, 3.0)], False), (rows, True)):
-        write_results(run / "results.json", results, PROVENANCE, FIRST_ROBOT)
-        text = written(run).text
-        begin = text.split("A grasp")[0]
-        assert ("policy: 93.8 % lifted at 2.0 N per finger" in begin) == said
+    for rows, said in (([result(60), result(40, 3.0)], False), ([kept(60), kept(40, 3.0)], True)):
+        write_results(run / "results.json", rows, PROVENANCE, FIRST_ROBOT)
+        page = written(run)
+        begin, _, rest = page.text.replace("\N{NO-BREAK SPACE}", " ").partition("Success against")
         # On the line from nothing to 62.5 % at 5 N.
-        assert ("a squeeze of the same force lifts 25.0 %" in begin) == said
-        assert ("At equal force, points" in text) == said
+        lifts = "the policy lifts 93.8 %, more than a squeeze (25.0 %)."
+        assert (f"At an equal force of 2.0 N per finger {lifts}" in begin) == said
+        assert ("vs. squeeze25.0+68.8 (" in begin) == said
+        assert ("At equal force, points" in rest) == said
+        assert begin.count("native MuJoCo") == said, "once, above the table"
+
+
+def test_the_page_fits_screens(run):
+    """Wide ones and phones, where what is too wide scrolls by itself; nothing does on wide ones."""
+    began = [replace(kept(n), label=BEGAN_WITH, force_budget_n=b) for n, b in ((50, 1.5), (60, 3))]
+    own = [replace(row, label=None) for row in began]
+    grips = [
+        replace(kept(61), controller="grip", grip_force_n=1.5, grip_friction=friction)
+        for friction in (0.4, 0.7)
+    ]
+    squeezes = [kept(n, force) for n, force in ((40, 3.0), (50, 5.0), (64, 8.0))]
+    rows = [*own, *began, *grips, *squeezes]
+    write_results(run / "results.json", rows, PROVENANCE, FIRST_ROBOT, label="policy, preset cpu")
+    written(run)
+    for width in (1100, 390):
+        with browsing((run / "report.html").as_uri(), {"width": width, "height": 800}) as page:
+            page.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+            widest = page.evaluate("document.documentElement.scrollWidth")
+            scrolls = page.evaluate(
+                "[...document.querySelectorAll('.table div')]"
+                ".map(d => d.scrollWidth > d.clientWidth)"
+            )
+        assert widest <= width and len(scrolls) == 6
+        assert any(scrolls) == (width == 390)
 
 
 def test_the_report_says_which_squeeze_is_the_untrained_policy(run):

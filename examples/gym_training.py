@@ -132,4 +132,6 @@ def as_policy(agent, meta, robot) -> Policy:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

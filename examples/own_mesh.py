@@ -2,8 +2,10 @@
 
     python examples/own_mesh.py [MESH]
 
-MESH is a file of a closed mesh in metres; without one it is a bottle made here. The heatmap is
-computed once; then anchor, scores, candidates, selection and targets are one compiled call.
+MESH is a file of a closed mesh in metres; without one it is a bottle made here. It stands on the
+table, in front of a hand. The heatmap is computed once; then anchor, scores, candidates, selection
+and targets are one compiled call. Points are printed in the object frame: of MESH from the middle
+of its bounding box, of the bottle from its foot.
 """
 
 import sys
@@ -48,13 +50,14 @@ def main(arguments: list[str]) -> None:
         approach=jnp.array([1.0, 0.0, 0.0]),
         opposing=jnp.array([0.0, 1.0, 0.0]),
     )
-    where, turned = jnp.array([0.5, 0.0, 0.0]), jnp.eye(3)  # the object's pose
+    # The object's pose: its lowest point is on the table, which is z = 0.
+    where, turned = jnp.array([0.5, 0.0, -mesh.bounds[0][2]]), jnp.eye(3)
     settings = mjx_grasp.SelectionConfig()
 
     @jax.jit
     def choose(anchor):
-        score = mjx_grasp.steer(heatmap, anchor, 0.02)
-        candidates = mjx_grasp.from_heatmap(heatmap, score, count=64)
+        score = mjx_grasp.steer_contacts(heatmap, anchor)
+        candidates = mjx_grasp.from_heatmap(heatmap, score, count=256)
         state = mjx_grasp.start_selection(candidates, hand, turned)
         return mjx_grasp.select(candidates, state, hand, where, turned, settings)[0]
 
@@ -66,7 +69,10 @@ def main(arguments: list[str]) -> None:
         targets = jax.block_until_ready(choose(anchor))
         took = 1e3 * (time.perf_counter() - start)
         if not targets.valid:
-            print(f"{part}: no candidate that this hand can take")
+            least = 1e3 * settings.targets.min_height
+            print(
+                f"{part}: every candidate there has a finger less than {least:g} mm above the table"
+            )
             continue
         print(f"{part}, in {took:.1f} ms:")
         for finger, point in zip(robot.hand.fingers, targets.position - where, strict=True):

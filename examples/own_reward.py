@@ -40,4 +40,6 @@ def main(folder: Path, iterations: int = 20, worlds: int = 128) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -19,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_grasp
+from mjx_grasp.cli import run_command
+from mjx_grasp.errors import FileError
 from mjx_grasp.geometry import so3
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Tried
@@ -53,11 +55,18 @@ class Log:
 
     @classmethod
     def load(cls, path: Path) -> "Log":
-        """Reads it."""
-        with np.load(path) as kept:
-            read = list(zip(*(kept[name] for name in READ), strict=True))
-            seen = list(zip(*(kept[name] for name in SEEN), strict=True))
-            return cls(read, seen, list(kept["target"]))
+        """Reads it.
+
+        Raises:
+            FileError: It is no log.
+        """
+        try:
+            with np.load(path) as kept:
+                read = list(zip(*(kept[name] for name in READ), strict=True))
+                seen = list(zip(*(kept[name] for name in SEEN), strict=True))
+                return cls(read, seen, list(kept["target"]))
+        except Exception as error:  # NumPy's reader raises whatever it meets
+            raise FileError(path, f"no log ({error})", "a .npz that this example wrote") from None
 
 
 class JointsOfSim(mjx_grasp.SimRobot):
@@ -113,17 +122,20 @@ class ReplayedRobot:
 
 
 def grasp(robot, look, grasper, library, known, periods):
-    """So many control periods of a grasp, by the plans that are made before the first one."""
+    """So many control periods of a grasp; where plans are due, it waits for them."""
     plan = jax.jit(lambda *given: grasper.plan(library, *given))
-    start, tick, log = jax.jit(grasper.start), jax.jit(grasper.tick), Log()
+    start, tick, adopt = map(jax.jit, (grasper.start, grasper.tick, grasper.adopt))
+    key, log = jax.random.key(0), Log()
     measured, seen = robot.read(), look()
-    ways = plan(known, seen, measured.q, jax.random.key(0), Tried.nothing())
+    ways = plan(known, seen, measured.q, key, Tried.nothing())
     state = start(measured, known, seen, ways)
     for _ in range(periods):
         measured, seen = robot.read(), look()
         state, done = tick(state, measured, known, seen)
         log.add(measured, seen, done.target)
         robot.command(done.target)
+        if done.plans_due:
+            state = adopt(state, plan(known, seen, measured.q, key, state.tried))
     return Phase(int(state.phase)), log
 
 
@@ -136,7 +148,12 @@ def main(path: Path | None = None, periods: int = 350) -> tuple[Phase, float]:
 
     Returns:
         How the replayed grasp ended, and how far what is commanded now is from what was then [rad].
+
+    Raises:
+        FileError: The log's name is another file's, or it holds something else.
     """
+    if path is not None and path.suffix != ".npz":
+        raise FileError(path, "no name of a log", "one that ends in .npz")
     spec, cube = mjx_grasp.load_robot(), mjx_grasp.load_object("rubiks_cube")
     grasper = mjx_grasp.grasper_of(spec)
     library = mjx_grasp.start_library(grasper.reacher.body, grasper.planner.config)
@@ -169,4 +186,4 @@ def main(path: Path | None = None, periods: int = 350) -> tuple[Phase, float]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+    run_command(lambda: main(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -2,12 +2,17 @@
 
 import csv
 import importlib.util
+import re
+import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import mjx_grasp
+from mjx_grasp.errors import FileError
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.robot.spec import load_robot
 
@@ -28,11 +33,50 @@ def test_every_example_is_tried_here():
 
 def test_a_mesh_of_ones_own_gets_points_low_and_high(capsys):
     example("own_mesh").main([])
-    said = capsys.readouterr().out
-    low, high = (
-        float(line.split()[-5].strip("[]")) for line in said.splitlines() if "thumb" in line
-    )
-    assert 0 < low < 90 < high < 200, said  # mm above the bottle's foot
+    low, high = heights(capsys.readouterr().out)
+    assert 0 < low < 90 < high < 200  # mm above the bottle's foot
+
+
+def heights(said):
+    """Of the thumb's contacts [mm]."""
+    contacts = re.findall(r"thumb +at \[(.*)\] mm", said)
+    return [float(contact.split()[2]) for contact in contacts]
+
+
+def test_a_mesh_from_a_file_stands_on_the_table_and_gets_points_low_and_high(tmp_path, capsys):
+    path = tmp_path / "carton.stl"
+    trimesh.creation.box((0.06, 0.06, 0.15)).export(path)
+    example("own_mesh").main([str(path)])
+    low, high = heights(capsys.readouterr().out)
+    assert -75 < low < 0 < high < 75  # mm from its middle
+
+
+@pytest.mark.long
+def test_where_no_finger_fits_above_the_table_the_example_says_so(tmp_path, capsys):
+    path = tmp_path / "plate.stl"
+    trimesh.creation.box((0.06, 0.06, 0.012)).export(path)
+    example("own_mesh").main([str(path)])
+    assert capsys.readouterr().out.count("less than 15 mm above the table") == 2
+
+
+@pytest.mark.parametrize("name", ["own_reward", "gym_training"])
+def test_examples_without_a_folder_say_how_they_are_called(name, monkeypatch):
+    if name == "gym_training":
+        pytest.importorskip("skrl")
+    monkeypatch.setattr(sys, "argv", [name])
+    with pytest.raises(SystemExit, match=rf"python examples/{name}\.py FOLDER"):
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("box.stl", b"solid"), ("box.npz", b"solid"), ("box.npz", b"")]
+)
+def test_a_log_that_is_none_is_refused_by_its_name(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=rf"{name}.* expected .*\.npz"):
+        example("replayed_robot").main(path)
+    assert path.read_bytes() == content
 
 
 @pytest.mark.long

@@ -17,6 +17,9 @@ Steering = Literal["contacts", "axis", "between"]
 """What has to be near the anchor: all three contacts (:func:`steer_contacts`), the grasp axis, as
 published (:func:`steer`), or the middle of the grasp (:func:`steer_near`)."""
 
+Sigma = Float[Array | np.ndarray | np.floating, ""] | float
+"""Distance from an anchor at which a score falls to 1/e [m]."""
+
 SIGMA_M = 0.030
 """Scale of the distance to an anchor that is a point [m]."""
 _PART_SHARE = 0.125  # larger, and better grasps beside a thin part come into the choice
@@ -83,7 +86,7 @@ def weigh(
 def steer(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
-    sigma: Float[Array | np.ndarray | np.floating, ""] | float = SIGMA_M,
+    sigma: Sigma = SIGMA_M,
 ) -> Float[Array, " v"]:
     """Scores of a heatmap's candidates for an anchor; for many anchors see :func:`steer_many`.
 
@@ -95,19 +98,16 @@ def steer(
         sigma: Distance from the anchor to the grasp axis at which a score falls to 1/e, [m].
 
     Raises:
-        InputError: The anchor is not one point.
+        InputError: The anchor is not one point, or σ not one positive number.
     """
-    dtype = heatmap.score_without_com.dtype
-    anchor, sigma = jnp.asarray(anchor, dtype), jnp.asarray(sigma, dtype)
-    if anchor.shape != (3,):
-        raise InputError("anchor", f"shape {anchor.shape}", "one point [3] in m")
+    anchor, sigma = _checked(heatmap, anchor, sigma)
     return weigh(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchor, sigma)
 
 
 def steer_many(
     heatmap: Heatmap,
     anchors: Float[Array | np.ndarray, "a 3"],
-    sigma: Float[Array | np.ndarray, "*a"] | float = SIGMA_M,
+    sigma: Float[Array | np.ndarray | np.floating, "*a"] | float = SIGMA_M,
 ) -> Float[Array, "a v"]:
     """Scores for many anchors at once, as :func:`steer` gives them one by one.
 
@@ -117,24 +117,27 @@ def steer_many(
         sigma: Of all anchors, or of each, [m].
 
     Raises:
-        InputError: The anchors are not points.
+        InputError: The anchors are not points, or σ not positive, one or of each.
     """
     dtype = heatmap.score_without_com.dtype
-    anchors = jnp.asarray(anchors, dtype)
+    anchors, sigma = jnp.asarray(anchors, dtype), jnp.asarray(sigma, dtype)
     if anchors.ndim != 2 or anchors.shape[1] != 3:
         raise InputError("anchors", f"shape {anchors.shape}", "points [a, 3] in m")
-    sigma = jnp.broadcast_to(jnp.asarray(sigma, dtype), anchors.shape[:1])
+    if sigma.shape not in ((), anchors.shape[:1]):
+        raise InputError("sigma", f"shape {sigma.shape}", "one number, or one of each anchor, in m")
+    _check_values("anchors", anchors)
+    _check_positive(sigma)
+    sigma = jnp.broadcast_to(sigma, anchors.shape[:1])
     return _weigh_many(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchors, sigma)
 
 
 _weigh_many = jax.jit(jax.vmap(weigh, in_axes=(None, None, None, 0, 0)))
 
 
-@jax.jit
 def steer_near(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
-    sigma: Float[Array, ""] | float = SIGMA_M,
+    sigma: Sigma = SIGMA_M,
 ) -> Float[Array, " v"]:
     """Scores for an anchor that should lie between the contacts; an addition to the method.
 
@@ -148,17 +151,28 @@ def steer_near(
         heatmap: Cached candidates.
         anchor: Point in the object frame, [m].
         sigma: Distance to the segment at which a score falls to 1/e, [m].
+
+    Raises:
+        InputError: The anchor is not one point, or σ not one positive number.
     """
-    along = dot(jnp.asarray(anchor) - heatmap.thumb, heatmap.axis)
+    return _near(heatmap, *_checked(heatmap, anchor, sigma))
+
+
+@jax.jit
+def _near(
+    heatmap: Heatmap, anchor: Float[Array, " 3"], sigma: Float[Array, ""]
+) -> Float[Array, " v"]:
+    along = dot(anchor - heatmap.thumb, heatmap.axis)
     beyond = jnp.maximum(jnp.maximum(-along, along - heatmap.width), 0.0)
-    return steer(heatmap, anchor, sigma) * jnp.exp(-((beyond / sigma) ** 2))
+    line = weigh(heatmap.score_without_com, heatmap.thumb, heatmap.axis, anchor, sigma)
+    return line * jnp.exp(-((beyond / sigma) ** 2))
 
 
 def steer_contacts(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
     size: Float[Array | np.ndarray, " 3"] | None = None,
-    sigma: Float[Array, ""] | float | None = None,
+    sigma: Sigma | None = None,
 ) -> Float[Array, " v"]:
     """Scores for an anchor that all three contacts should be near; an addition to the method.
 
@@ -178,13 +192,16 @@ def steer_contacts(
             the size if None.
 
     Raises:
-        InputError: The anchor is not one point, or the size not three edges.
+        InputError: The anchor is not one point, the size not three edges, or σ not one positive
+            number.
     """
     point, edges = (jnp.asarray(x) for x in (anchor, jnp.zeros(3) if size is None else size))
     for name, value in (("anchor", point), ("size", edges)):
         if value.shape != (3,):
             raise InputError(name, f"shape {value.shape}", "three numbers in m")
-    sigma = contact_sigma(edges) if sigma is None else sigma
+        _check_values(name, value)
+    dtype = heatmap.score_without_com.dtype
+    sigma = contact_sigma(edges) if sigma is None else _one_sigma(jnp.asarray(sigma, dtype))
     return _by_contacts(heatmap, point, 0.5 * edges, sigma)
 
 
@@ -222,7 +239,7 @@ def steer_to(
     heatmap: Heatmap,
     anchor: Float[Array | np.ndarray, " 3"],
     size: Float[Array | np.ndarray, " 3"] | None = None,
-    sigma: float | None = None,
+    sigma: Sigma | None = None,
     steering: Steering = "contacts",
 ) -> Float[Array, " v"]:
     """Scores for an anchor, in one of the ways of `Steering`.
@@ -234,8 +251,49 @@ def steer_to(
         sigma: Distance at which a score falls to 1/e [m]; by default of a point `SIGMA_M`, and of
             a part that contacts are to be on, its :func:`contact_sigma`.
         steering: What has to be near the anchor.
+
+    Raises:
+        InputError: The anchor is not one point, the size not three edges, or σ not one positive
+            number.
     """
     if steering == "contacts":
         return steer_contacts(heatmap, anchor, size, sigma)
     way = steer if steering == "axis" else steer_near
     return way(heatmap, anchor, SIGMA_M if sigma is None else sigma)
+
+
+def _checked(
+    heatmap: Heatmap,
+    anchor: Float[Array | np.ndarray, " 3"],
+    sigma: Sigma,
+) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+    """Anchor and σ as the scores are kept, which may be traced.
+
+    Raises:
+        InputError: The anchor is not one point, or σ not one positive number.
+    """
+    dtype = heatmap.score_without_com.dtype
+    point, scale = jnp.asarray(anchor, dtype), jnp.asarray(sigma, dtype)
+    if point.shape != (3,):
+        raise InputError("anchor", f"shape {point.shape}", "one point [3] in m")
+    _check_values("anchor", point)
+    return point, _one_sigma(scale)
+
+
+def _one_sigma(sigma: Float[Array, ""]) -> Float[Array, ""]:
+    if sigma.shape != ():
+        raise InputError("sigma", f"shape {sigma.shape}", "one number in m")
+    _check_positive(sigma)
+    return sigma
+
+
+def _check_values(name: str, values: Float[Array, "..."]) -> None:
+    """Refuses what is not finite, where values are known: under jit and vmap they are not."""
+    if not isinstance(values, jax.core.Tracer) and not np.isfinite(values).all():
+        raise InputError(name, np.asarray(values).tolist(), "finite numbers in m")
+
+
+def _check_positive(sigma: Float[Array, "..."]) -> None:
+    """Refuses a σ of 0 or less, where it is known."""
+    if not isinstance(sigma, jax.core.Tracer) and not (np.asarray(sigma) > 0.0).all():
+        raise InputError("sigma", np.asarray(sigma).tolist(), "more than 0 m")

@@ -9,7 +9,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.grasp.candidates import from_heatmap
 from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.config import HeatmapConfig
-from mjx_grasp.heatmap.steering import steer, steer_contacts, steer_many, steer_near
+from mjx_grasp.heatmap.steering import steer, steer_contacts, steer_many, steer_near, steer_to
 
 SPAN, FRICTION = (0.02, 0.09), 0.5
 TERMS = {"width", "thumb", "wrap", "coherence", "com", "separation"}
@@ -182,6 +182,59 @@ def test_anchors_that_are_no_points_are_refused(lump_map):
         steer(lump_map, np.zeros((2, 3)))
     with pytest.raises(InputError, match=r"anchors: found 'shape \(3,\)', expected points"):
         steer_many(lump_map, np.zeros(3))
+    for wrong in (np.zeros((2, 3)), np.zeros(2), 0.0):
+        with pytest.raises(InputError, match=r"anchor: found 'shape .*expected one point"):
+            steer_near(lump_map, wrong)
+
+
+ONE_ANCHOR = {
+    "axis": steer,
+    "between": steer_near,
+    "contacts": lambda heatmap, anchor, sigma: steer_contacts(heatmap, anchor, None, sigma),
+    "to": lambda heatmap, anchor, sigma: steer_to(heatmap, anchor, sigma=sigma),
+    "many": lambda heatmap, anchor, sigma: steer_many(heatmap, anchor[None], sigma),
+}
+
+
+@pytest.mark.parametrize("way", ONE_ANCHOR.values(), ids=ONE_ANCHOR.keys())
+def test_anchors_and_widths_without_a_score_are_refused(lump_map, way):
+    anchor = np.zeros(3, np.float32)
+    for value in (np.nan, np.inf):
+        with pytest.raises(
+            InputError, match=r"anchors?: found .*(nan|inf).*expected finite numbers"
+        ):
+            way(lump_map, np.float32([0, value, 0]), 0.03)
+    for sigma in (0.0, -0.01, np.nan):
+        with pytest.raises(InputError, match=r"sigma: found .* expected more than 0 m"):
+            way(lump_map, anchor, sigma)
+    with pytest.raises(InputError, match=r"size: found .*nan"):
+        steer_contacts(lump_map, anchor, np.float32([np.nan, 0, 0]))
+
+
+@pytest.mark.parametrize("way", ONE_ANCHOR.values(), ids=ONE_ANCHOR.keys())
+def test_where_values_are_traced_nothing_is_refused(lump_map, way):
+    anchors = np.float32([[0.01, 0.0, 0.02], [np.nan, 0.0, 0.0]])
+    sigmas = np.float32([0.03, 0.0])
+    expected = way(lump_map, anchors[0], sigmas[0])
+    batched = jax.vmap(lambda a, s: way(lump_map, a, s))
+    for found in (
+        jax.jit(lambda a, s: way(lump_map, a, s))(anchors[0], sigmas[0]),
+        batched(jnp.asarray(anchors), jnp.asarray(sigmas))[0],
+        jax.jit(batched)(anchors, sigmas)[0],
+        jax.jit(lambda s: way(lump_map, anchors[0], s))(sigmas[0]),
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
+    slope = jax.jacfwd(lambda a: way(lump_map, a, 0.03).sum())(anchors[0])
+    assert np.isfinite(slope).all()
+
+
+@pytest.mark.wrong_types
+def test_there_is_one_width_or_one_of_each_anchor(lump_map):
+    for way in (steer, steer_near):
+        with pytest.raises(InputError, match=r"sigma: found 'shape \(2,\)', expected one number"):
+            way(lump_map, np.zeros(3), np.full(2, 0.03))
+    with pytest.raises(InputError, match=r"sigma: found 'shape \(2,\)', expected one number, or"):
+        steer_many(lump_map, np.zeros((3, 3)), np.full(2, 0.03))
 
 
 @pytest.mark.wrong_types

@@ -107,21 +107,26 @@ def groups() -> dict[str, tuple[str, ...]]:
     }
 
 
-def resolve(names: Sequence[str]) -> tuple[str, ...]:
+def resolve(names: str | Sequence[str]) -> tuple[str, ...]:
     """The names of the objects that are asked for, see `find_objects`."""
     return tuple(each.name for each in find_objects(names))
 
 
-def find_objects(asked: Sequence[str]) -> tuple[Asked, ...]:
+def find_objects(asked: str | Sequence[str], one: bool = False) -> tuple[Asked, ...]:
     """Names and groups of the catalogue, meshes and folders of meshes as objects.
 
     Each comes once, in the order given.
+
+    Args:
+        asked: One of these, or several.
+        one: Whether a single object is wanted, so that no group is suggested for a wrong name.
 
     Raises:
         InputError: Nothing is asked for, something that is none of these, or two meshes of a name.
         FileError: A path leads to no mesh.
     """
     known, sets = load_catalogue(), groups()
+    asked = [asked] if isinstance(asked, str) else asked
     found: dict[str, Asked] = {}
     for name in asked:
         if name in known or name in sets:
@@ -134,8 +139,10 @@ def find_objects(asked: Sequence[str]) -> tuple[Asked, ...]:
                     both = f"{other.path}, {file.path}"
                     raise InputError("objects", both, "meshes of different names")
         else:
-            near = difflib.get_close_matches(name, [*sets, *known], n=3, cutoff=0.5)
-            names = f"{', '.join(near)}?" if near else f"mug, apple, …, or {', '.join(sets)}"
+            near = difflib.get_close_matches(name, [*known] if one else [*sets, *known], 3, 0.5)
+            names = f"{', '.join(near)}?" if near else "mug, apple, …"
+            if not (near or one):
+                names += f"; where several objects may be given, also {', '.join(sets)}"
             raise InputError("object", name, f"a mesh's path or a name of the catalogue: {names}")
     if not found:
         raise InputError("objects", list(asked), "one or more names, groups or meshes")

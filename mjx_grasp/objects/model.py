@@ -93,7 +93,7 @@ _HEAVIEST = 22_600.0  # kg/m³, the density of osmium
 
 
 def _one(name: str) -> Asked:
-    asked = find_objects([name])
+    asked = find_objects(name, one=True)
     if len(asked) != 1:
         raise InputError("object", name, f"one of {', '.join(load_catalogue())}, or one mesh")
     return asked[0]
@@ -137,7 +137,7 @@ def load_object(
 
 
 def load_objects(
-    names: Sequence[str],
+    names: str | Sequence[str],
     objects_dir: Path | None = None,
     cache_dir: Path | None = None,
     weight: Weight | None = None,
@@ -148,7 +148,7 @@ def load_objects(
     surface.
 
     Args:
-        names: Names and groups of the catalogue, meshes and folders of meshes.
+        names: Names and groups of the catalogue, meshes and folders of meshes; or one of them.
         objects_dir, cache_dir: As of `load_object`.
         weight: Of each mesh; by `DENSITY` if None.
 

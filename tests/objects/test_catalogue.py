@@ -1,6 +1,7 @@
 """The catalogue: its counts, its groups, and how wrong names and damaged files are refused."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.objects import catalogue
 from mjx_grasp.objects.catalogue import groups, load_catalogue, resolve
+from mjx_grasp.objects.model import load_object, load_objects
 from mjx_grasp.objects.parametric import stand_in
 
 THE_EIGHT = {
@@ -101,6 +103,23 @@ def test_an_unknown_name_is_refused_with_near_matches(wrong, near):
 def test_a_name_near_nothing_is_answered_with_the_groups():
     with pytest.raises(InputError, match="eight, train, held_out, all"):
         resolve(["qqqqqqqq"])
+
+
+def test_where_one_object_is_wanted_no_group_is_suggested():
+    for wrong in ("qqqqqqqq", "eigth", "al"):
+        with pytest.raises(InputError) as error:
+            load_object(wrong)
+        assert not set(groups()) & set(re.findall(r"\w+", error.value.expected)), wrong
+    with pytest.raises(
+        InputError, match=r"mug, apple, …; where several objects may be given, also"
+    ):
+        resolve(["qqqqqqqq"])
+
+
+def test_a_name_alone_is_one_name():
+    assert resolve("mug") == ("mug",)
+    assert resolve("eight") == groups()["eight"]
+    assert [obj.name for obj in load_objects("rubiks_cube")] == ["rubiks_cube"]
 
 
 def test_no_name_is_refused():

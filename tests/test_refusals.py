@@ -158,6 +158,13 @@ def test_impossible_numbers_are_refused_by_their_flag_or_field(command, refused)
         ("view", ("mesh.obj", "--host", "999.1.1.1"), "--host: found '999.1.1.1'"),
         ("view", ("mesh.obj", "--host", ""), "--host"),
         ("view", ("rubiks_cube", "--live", "--host", "0.0.0.0"), "whoever opens the live page"),
+        (
+            "view",
+            ("mug",),
+            "mesh: found 'mug', expected a mesh's file; a name of the catalogue needs",
+        ),
+        ("view", ("eight",), "a name of the catalogue needs --live beside it"),
+        ("view", ("teapot",), "a name of the catalogue needs --live beside it"),
         ("view", ("teapot", "--live"), "object: found 'teapot'"),
         ("view", ("heatmap.npz", "--live"), "heatmap.npz"),
         ("view", ("rubiks_cube", "--live", "--also", "teapot"), "object: found 'teapot'"),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.meshes import EXTENSIONS
+from mjx_grasp.objects.meshes import EXTENSIONS, check_extension
 
 _SCANS = ("nontextured.ply", "textured.obj")
 
@@ -31,8 +31,7 @@ def find_meshes(path: str | Path) -> list[MeshFile]:
     path = Path(path)
     kinds = ", ".join(EXTENSIONS)
     if path.is_file():
-        if path.suffix.lower() not in EXTENSIONS:
-            raise FileError(path, f"extension {path.suffix!r}", f"one of {kinds}")
+        check_extension(path)
         return [MeshFile(path.stem, path)]
     if not path.is_dir():
         raise FileError(path, "no such file or folder", f"a mesh ({kinds}) or a folder of meshes")

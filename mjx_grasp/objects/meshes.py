@@ -16,6 +16,7 @@ from mjx_grasp.objects.surface import inside
 
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb", ".off")
 MIN_EXTENT, MAX_EXTENT = 0.005, 1.0  # m, for each of the three extents
+_TO_METRES = "trimesh.load_mesh(FILE).apply_scale(0.001).export(NEW_FILE) makes metres of them"
 _MAX_HOLE = 0.15  # a hole's largest extent over the mesh's diagonal that is still filled
 _MAX_DROPPED = 0.02  # share of the faces that may go because their edges have more than two faces
 _ROUNDS = 4  # removing bad faces opens holes, filling them can pinch an edge
@@ -32,8 +33,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             wrong unit (an extent outside 5 mm to 1 m) or open beyond repair.
     """
     path = Path(path)
-    if path.suffix.lower() not in EXTENSIONS:
-        raise FileError(path, f"extension {path.suffix!r}", "one of " + ", ".join(EXTENSIONS))
+    check_extension(path)
     if not path.is_file():
         raise FileError(path, "no such file", "a triangle mesh in metres")
     try:
@@ -45,6 +45,18 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             path, f"nothing readable ({type(error).__name__}: {error})", "a triangle mesh"
         ) from error
     return repair(vertices, faces, path)
+
+
+def check_extension(path: Path) -> None:
+    """Makes sure that a file's name ends as that of a mesh.
+
+    Raises:
+        FileError: It does not, or it is a folder's.
+    """
+    if path.suffix.lower() not in EXTENSIONS:
+        found = f"extension {path.suffix!r}" if path.suffix else "no extension"
+        found = "a folder" if path.is_dir() else found
+        raise FileError(path, found, f"a mesh: one of {', '.join(EXTENSIONS)}")
 
 
 def repair(
@@ -142,10 +154,11 @@ def _check_content(vertices: np.ndarray, faces: np.ndarray, path: str | Path) ->
     extents = used.max(axis=0) - used.min(axis=0)
     if extents.min() < MIN_EXTENT or extents.max() > MAX_EXTENT:
         size = " x ".join(f"{e:.4g}" for e in extents)
-        hint = ", which looks like millimetres" if 10.0 < extents.max() <= 1000.0 else ""
-        raise FileError(
-            path, f"extents {size} m{hint}", f"metres: extents within {MIN_EXTENT} to {MAX_EXTENT}"
-        )
+        found, expected = f"extents {size} m", f"extents within {MIN_EXTENT} to {MAX_EXTENT} m"
+        if 10.0 < extents.max() <= 1000.0:
+            found += ", which looks like millimetres"
+            expected += f"; in Python, {_TO_METRES}"
+        raise FileError(path, found, expected)
 
 
 def _edges(faces: np.ndarray) -> np.ndarray:

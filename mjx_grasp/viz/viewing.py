@@ -22,7 +22,7 @@ from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap, load_heatmap
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh
 from mjx_grasp.language.grounding import Target, target_of
-from mjx_grasp.objects.catalogue import find_objects, load_catalogue
+from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.folder import MeshFile
 from mjx_grasp.objects.meshes import read_mesh
@@ -121,8 +121,9 @@ def load(config: ViewConfig) -> tuple[StoredHeatmap, Target]:
         stored = load_heatmap(config.mesh)
         name = stored.info.name
         mesh = trimesh.Trimesh(np.asarray(stored.heatmap.vertices), stored.faces, process=False)
-    elif str(config.mesh) in load_catalogue() and not config.mesh.exists():
-        raise InputError("mesh", str(config.mesh), "a file; names of the catalogue with --live")
+    elif not (config.mesh.suffix or config.mesh.exists()):
+        expected = "a mesh's file; a name of the catalogue needs --live beside it"
+        raise InputError("mesh", str(config.mesh), expected)
     else:
         name, mesh = config.mesh.stem, read_mesh(config.mesh)
         with Console(stderr=True).status(f"computing the heatmap of {name}"):

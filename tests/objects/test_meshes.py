@@ -1,5 +1,7 @@
 """Reading meshes: what is repaired, what is refused and how, and where scans are found."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -76,6 +78,24 @@ def test_a_bad_mesh_is_refused_with_its_file_and_finding(tmp_path, damage, findi
     with pytest.raises(FileError, match=finding) as error:
         read_mesh(path)
     assert error.value.path == path and str(path) in str(error.value)
+
+
+def test_what_is_said_of_a_mesh_in_millimetres_makes_metres_of_it(tmp_path):
+    path, new = written(tmp_path, *_millimetres(*parts_of(ball()))), tmp_path / "metres.stl"
+    with pytest.raises(FileError) as error:
+        read_mesh(path)
+    (code,) = re.findall(r"trimesh\..*\)", error.value.expected)
+    exec(code, {"trimesh": trimesh, "FILE": path, "NEW_FILE": new})
+    assert np.allclose(read_mesh(new).extents, ball().extents, atol=1e-5)
+
+
+def test_a_name_without_an_extension_and_a_folder_are_refused_as_such(tmp_path):
+    with pytest.raises(
+        FileError, match=r"thing: found no extension, expected a mesh: one of \.obj"
+    ):
+        read_mesh(tmp_path / "thing")
+    with pytest.raises(FileError, match=r"found a folder, expected a mesh: one of \.obj"):
+        read_mesh(tmp_path)
 
 
 @pytest.mark.parametrize("extension", [".obj", ".ply", ".stl"])

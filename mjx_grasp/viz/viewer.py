@@ -27,6 +27,13 @@ _OBJECT, _TRIPLES = "/object", "/object/triple"  # all on the object moves with 
 _GIZMO = 0.35  # size of what is dragged, of the mesh's diagonal
 _FINGER = 0.15  # length of the lines outside the contacts, of the mesh's diagonal
 _WRAP_LINE, _INK, _GREY = (90, 95, 110), (40, 40, 50), (190, 190, 198)
+_ANCHOR = "whether grasps are steered to a point, which you drag"
+_SIGMA = "distance from the anchor at which a grasp's score falls to 1/e; less keeps it nearer"
+_NEAR = (
+    "what of a grasp has to be near the anchor: all three contacts, the axis from the thumb to the "
+    "fingers (the publication's way), or the middle between the contacts"
+)
+_PLACE = "moves the anchor to a part or a side in words: by the handle, the top, …"
 
 
 def import_viser() -> ModuleType:
@@ -180,15 +187,17 @@ class Viewer:
     def _build_panel(self, is_steered: bool) -> None:
         gui, settings = self.server.gui, self.settings
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
-        self.steered = gui.add_checkbox("anchor", settings.anchor is not None)
+        self.steered = gui.add_checkbox("anchor", settings.anchor is not None, hint=_ANCHOR)
         first = _millimetres(settings.scale)
-        self.sigma = gui.add_slider("sigma [mm]", min(1.0, first), max(60.0, first), 0.5, first)
+        self.sigma = gui.add_slider(
+            "sigma [mm]", min(1.0, first), max(60.0, first), 0.5, first, hint=_SIGMA
+        )
         self.steering = gui.add_dropdown(
-            "near it", get_args(Steering), initial_value=settings.steering
+            "near anchor", get_args(Steering), initial_value=settings.steering, hint=_NEAR
         )
         self.triples = gui.add_slider("triples", 1, MOST_TRIPLES, 1, settings.triples)
         self.to_best = gui.add_checkbox("yellow is the best score", settings.to_best)
-        self.instruction = gui.add_text("go to", "", hint="by the handle, the top, …")
+        self.instruction = gui.add_text("part or side", "", hint=_PLACE)
         self._note = gui.add_markdown("")
         if is_steered:
             gui.add_markdown("The file's own scores are steered: they are shown without an anchor.")

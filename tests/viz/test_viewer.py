@@ -101,7 +101,7 @@ def test_dragging_the_anchor_moves_colours_and_triple(viewer, page, tmp_path_fac
 
 @pytest.mark.long
 def test_the_width_of_a_named_part_holds_for_that_part_alone(viewer, page):
-    field, sigma = control(page, "go to"), number(page, "sigma [mm]")
+    field, sigma = control(page, "part or side"), number(page, "sigma [mm]")
     field.fill("by the handle")
     field.press("Enter")
     wait(lambda: float(sigma.input_value()) == 5.0)
@@ -115,7 +115,7 @@ def test_the_width_of_a_named_part_holds_for_that_part_alone(viewer, page):
 
 @pytest.mark.long
 def test_the_panel_changes_sigma_triples_and_place(viewer, page):
-    field = control(page, "go to")
+    field = control(page, "part or side")
     field.fill("the bottom")
     field.press("Enter")
     wait(lambda: viewer.settings.anchor == pytest.approx((0.0, 0.0, -0.08), abs=1e-6))

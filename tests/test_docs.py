@@ -15,6 +15,7 @@ from test_packaging import COMMANDS, module_name
 
 import mjx_grasp
 from mjx_grasp.geometry import so3
+from mjx_grasp.objects.catalogue import groups
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.robot.interface import Robot
 from mjx_grasp.robot.spec import load_robot
@@ -125,6 +126,13 @@ def test_the_example_of_an_object_runs():
     exec(blocks("own-object.md")[0], names)
     assert names["scores"].shape == (1000, len(names["heatmap"].vertices))
     assert names["scores"].max() > 0
+
+
+def test_the_page_about_the_catalogue_names_the_eight():
+    (said,) = re.findall(
+        r"^The eight are .*?\n\n", (DOCS / "own-object.md").read_text(), re.M | re.S
+    )
+    assert set(re.findall(r"`(\w+)`", said)) == set(groups()["eight"])
 
 
 class Drives:

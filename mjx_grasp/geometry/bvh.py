@@ -11,7 +11,7 @@ A query runs in the thread that calls it, on a CPU on one core: call for parts o
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int
 
 from mjx_grasp.geometry import bvh_kernels, face_blocks_kernel
 from mjx_grasp.geometry.face_blocks import WIDTH, FaceBlocks, face_blocks
+from mjx_grasp.geometry.rays import EDGE_SLACK
 from mjx_grasp.geometry.warp_device import device, launch, load, once, put, start
 
 # Centroids in a leaf of their tree: fewer are found no faster, and take longer to build.
@@ -47,14 +48,14 @@ class MeshTrees:
         load(bvh_kernels)
         if device().is_cpu:
             load(face_blocks_kernel)
-        built = [start(_mesh, p, f) for p, f in zip(points, faces, strict=True)]
-        grouped = [
-            start(face_blocks, p, f) for p, f in zip(points, faces, strict=True) if device().is_cpu
-        ]
+        # For nearest faces a CPU has a search of its own.
+        near: Callable[..., Any] = face_blocks if device().is_cpu else _mesh
+        widened = [start(_widened, p, f) for p, f in zip(points, faces, strict=True)]
+        built = [start(near, p, f) for p, f in zip(points, faces, strict=True)]
         counts = self.counts = [len(f) for f in faces]
+        self._widened = once(lambda: _with_ids([mesh() for mesh in widened]))
         self._meshes = once(lambda: _with_ids([mesh() for mesh in built]))
-        # What the search on a CPU takes first.
-        self._blocks = once(lambda: _blocks([blocks() for blocks in grouped], counts))
+        self._blocks = once(lambda: _blocks([blocks() for blocks in built], counts))
         diagonals = [np.linalg.norm(np.ptp(p, axis=0)) for p in points]
         self.first_face = put(_starts(self.counts), wp.int32)
         self.diagonal = put(np.asarray(diagonals, np.float32), wp.float32)
@@ -73,7 +74,7 @@ class MeshTrees:
             directions: Ray directions, unit.
         """
         out = wp.empty(len(owner), dtype=wp.int32, device=device())
-        inputs = [self._meshes()[1], self.first_face, self.diagonal]
+        inputs = [self._widened()[1], self.first_face, self.diagonal]
         inputs += [*map(_take, (owner, origins, directions)), out]
         launch(bvh_kernels.farthest, len(owner), inputs)
         return wp.to_jax(out)
@@ -172,6 +173,18 @@ class FaceGrids:
 
 def _mesh(points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
     return wp.Mesh(put(points, wp.vec3), put(faces.astype(np.int32).ravel(), wp.int32))
+
+
+def _widened(points: np.ndarray, faces: np.ndarray) -> wp.Mesh:
+    """The faces for rays, each by itself, and each as much wider as :mod:`.rays` has slack.
+
+    Weights of no less than −s are a face that is 1 + 3 s times as large about its centroid. By half
+    of the slack, so that :func:`.rays.hit_on_face` meets whatever is met here.
+    """
+    corners = points[faces]
+    centroids = corners.mean(axis=1, keepdims=True)
+    wider = corners + np.float32(1.5 * EDGE_SLACK) * (corners - centroids)
+    return _mesh(wider.reshape(-1, 3), np.arange(faces.size))
 
 
 def _grid(centroids: wp.array, radius: float) -> wp.HashGrid:

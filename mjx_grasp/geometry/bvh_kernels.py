@@ -10,8 +10,36 @@ them each query is for (`owner`).
 import warp as wp
 
 from mjx_grasp.geometry.curvature import SAME_DISTANCE, SQUARE
+from mjx_grasp.geometry.rays import GRAZING
 
 Moments = wp.types.vector(length=6, dtype=wp.float64)
+
+
+@wp.func
+def edge_on(normal: wp.vec3, direction: wp.vec3, cosine: float):
+    """Whether a face is seen from its edge, or has no area."""
+    squared = wp.length_sq(normal) * wp.length_sq(direction)
+    along = wp.dot(normal, direction)
+    return along * along <= cosine * cosine * squared
+
+
+@wp.func
+def met_at(mesh: wp.uint64, j: int, origin: wp.vec3, direction: wp.vec3):
+    """Where a ray meets a face, along the ray; below 0 if nowhere. See :mod:`.rays`."""
+    corner = wp.mesh_get_point(mesh, 3 * j)
+    edge1 = wp.mesh_get_point(mesh, 3 * j + 1) - corner
+    edge2 = wp.mesh_get_point(mesh, 3 * j + 2) - corner
+    t = float(-1.0)
+    if not edge_on(wp.cross(edge1, edge2), direction, wp.static(2.0 * GRAZING)):
+        p = wp.cross(direction, edge2)
+        determinant = wp.dot(edge1, p)
+        s = origin - corner
+        q = wp.cross(s, edge1)
+        u = wp.dot(s, p) / determinant
+        v = wp.dot(direction, q) / determinant
+        if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+            t = wp.dot(edge2, q) / determinant
+    return t
 
 
 @wp.kernel
@@ -24,15 +52,35 @@ def farthest(
     directions: wp.array(dtype=wp.vec3),
     face: wp.array(dtype=int),
 ):
-    """The face that each ray meets farthest from its origin; −1 if none."""
+    """The face that each ray meets farthest from its origin; −1 if none.
+
+    The faces are widened: Warp's search, which rounds boxes, slips through at edges and corners.
+    """
     i = wp.tid()
     o = owner[i]
+    mesh = meshes[o]
     # Back from beyond the mesh: the first hit met there is the farthest one of the ray.
     reach = 2.0 * diagonal[o]
-    query = wp.mesh_query_ray(meshes[o], origins[i] + reach * directions[i], -directions[i], reach)
-    face[i] = -1
+    beyond = origins[i] + reach * directions[i]
+    query = wp.mesh_query_ray(mesh, beyond, -directions[i], reach)
+    found = int(-1)
     if query.result:
-        face[i] = first_face[o] + query.face
+        found = query.face
+        # That a ray runs along does not count, and may hide what it ends at: rare, so one by one.
+        if edge_on(query.normal, directions[i], wp.static(100.0 * GRAZING)):
+            found = int(-1)
+            best = float(0.0)
+            j = int(0)
+            low = wp.min(origins[i], beyond)
+            near = wp.mesh_query_aabb(mesh, low, wp.max(origins[i], beyond))
+            while wp.mesh_query_aabb_next(near, j):
+                t = met_at(mesh, j, origins[i], directions[i])
+                if t > best:
+                    best = t
+                    found = j
+    face[i] = -1
+    if found >= 0:
+        face[i] = first_face[o] + found
 
 
 @wp.kernel

@@ -13,9 +13,9 @@ from mjx_grasp.geometry.tiles import first_least, map_tiles, tile_for
 
 # Slack on the barycentric weights: a ray through a shared edge must not slip between its faces
 # in float32. On a 5 mm face it is 0.5 µm.
-_EDGE_SLACK = 1e-4
+EDGE_SLACK = 1e-4
 # |cos| of the angle between ray and normal below which a face counts as edge-on (and unhit).
-_GRAZING = 1e-6
+GRAZING = 1e-6
 
 
 class RayHits(NamedTuple):
@@ -46,14 +46,14 @@ def _intersect(
     determinant = dot(edge1, p)
     normal = cross(edge1, edge2)
     squared = dot(normal, normal) * dot(direction, direction)
-    usable = determinant * determinant > _GRAZING * _GRAZING * squared
+    usable = determinant * determinant > GRAZING * GRAZING * squared
     inverse = 1.0 / jnp.where(usable, determinant, 1.0)
     s = tuple(origin[k] - corner[k] for k in range(3))
     u = dot(s, p) * inverse
     q = cross(s, edge1)
     v = dot(direction, q) * inverse
     t = dot(edge2, q) * inverse
-    inside = (u >= -_EDGE_SLACK) & (v >= -_EDGE_SLACK) & (u + v <= 1.0 + _EDGE_SLACK)
+    inside = (u >= -EDGE_SLACK) & (v >= -EDGE_SLACK) & (u + v <= 1.0 + EDGE_SLACK)
     return usable & inside, t, u, v
 
 

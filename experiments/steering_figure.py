@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tyro
-from jaxtyping import Float
 from rich.console import Console
 from rich.progress import track
 from small_png import write_png
 from steering_numbers import DEFAULT, measures, scores, seen
 
 from mjx_grasp.cli import run_command
+from mjx_grasp.heatmap.colours import steered_shade
 from mjx_grasp.heatmap.sampling import best_triple
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.provenance import provenance
@@ -71,7 +70,7 @@ def main(config: FigureConfig) -> None:
             row = {"object": name, "mesh": obj.source, "instruction": instruction}
             row |= {"steering": kind, **measures(obj.heatmap, triple, anchor)}
             rows.append(row)
-            shade = _shade(score, config.brightest)
+            shade = steered_shade(score, config.brightest)
             subject = subject_of(obj.heatmap, obj.mesh.faces, shade, triple, anchor.point)
             drawn[kind] = subject, row["contacts_mm"]
         axes = best_axes(drawn["contacts"][0])
@@ -94,18 +93,6 @@ def main(config: FigureConfig) -> None:
         config.results, {"schema": SCHEMA, "rows": rows, "settings": settings, "provenance": made}
     )
     print(f"written: {config.out}, {config.results}")
-
-
-def _shade(score: Float[np.ndarray, " v"], brightest: float) -> Float[np.ndarray, " v"]:
-    """Square roots of scores, on a scale of their own whose best share is at 1.
-
-    Else one good point darkens the rest of a thin part. The share is of those candidates that have
-    any score to speak of: a stem has few.
-    """
-    spoken = score[score > 0.01 * score.max()]
-    if not len(spoken):
-        return score
-    return np.sqrt(np.minimum(score / np.quantile(spoken, 1.0 - brightest), 1.0))
 
 
 if __name__ == "__main__":

@@ -351,17 +351,6 @@ def test_the_table_of_foreign_meshes_has_outcomes_and_refusals(tmp_path, monkeyp
     ]
 
 
-def test_each_picture_of_steering_has_a_scale_of_its_own(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "experiments")
-    figure = script("steering_figure")
-    score = np.r_[np.zeros(900), np.linspace(0.001, 0.003, 99), 0.02].astype(np.float32)
-    shade = figure._shade(score, 0.05)
-    assert np.all(shade[:900] == 0) and shade.max() == 1.0
-    assert np.median(shade[900:]) > 0.6, "one good point leaves the part lit"
-    assert np.all(np.diff(shade[900:]) >= 0)
-    assert np.array_equal(figure._shade(np.zeros(5), 0.05), np.zeros(5))
-
-
 def test_steering_by_numbers_on_one_object(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
     numbers = script("steering_numbers")

@@ -25,3 +25,21 @@ def score_colours(score: Float[np.ndarray, "*n"], top: float = 1.0) -> UInt8[np.
     colours = np.round(255.0 * colormaps[MAP](share)[..., :3]).astype(np.uint8)
     colours[void] = VOID
     return colours
+
+
+def steered_shade(
+    score: Float[np.ndarray, " v"], brightest: float = 0.05
+) -> Float[np.ndarray, " v"]:
+    """Square roots of steered scores, on a scale of their own whose best share is at 1.
+
+    Else one good point darkens the rest of a thin part. The share is of those candidates that have
+    any score to speak of: a stem has few.
+
+    Args:
+        score: Of the candidates of one object.
+        brightest: Share of them that gets the yellow end.
+    """
+    spoken = score[score > 0.01 * score.max()]
+    if not len(spoken):
+        return score
+    return np.sqrt(np.minimum(score / np.quantile(spoken, 1.0 - brightest), 1.0))

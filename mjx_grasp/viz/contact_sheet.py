@@ -14,14 +14,14 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap.colours import MAP
+from mjx_grasp.heatmap.colours import MAP, VOID
 from mjx_grasp.viz.heatmap import ANCHOR, THUMB, WRAP, Subject, draw
 
 _INK, _GREY = "#191923", "#6e737d"
 _ASPECT = 1.6  # of a whole sheet
 _MOST_PIXELS = 8000  # of a sheet's side
 _PAD = 0.05  # of a cell
-_LEAST_WIDTH = 52  # letters: colour bar and legend side by side
+_LEAST_WIDTH = 74  # letters: colour bar and legend side by side
 _LETTER = 0.6  # width of one, of the font's size
 
 
@@ -108,7 +108,7 @@ def contact_sheet(
         handles=_marks(cells, font),
         loc="center right",
         bbox_to_anchor=(1.0 - pad / width, 3.4 * font / height),
-        ncols=4,
+        ncols=5,
         handletextpad=0.1,
         columnspacing=1.0,
         borderpad=0.0,
@@ -136,4 +136,7 @@ def _marks(cells: Sequence[Cell], font: float) -> list[Line2D]:
         marks.append(mark("thumb", "o", thumb, _INK, 0.1))
         marks.append(mark("index and middle", "o", wrap, _INK, 0.1))
         marks.append(mark("far side", "o", "none", _INK, 0.2))
+    if any(np.isnan(c.subject.score).any() for c in cells):
+        void = np.array(VOID) / 255
+        marks.append(mark("no candidate", "s", void, void, 0.1))
     return marks

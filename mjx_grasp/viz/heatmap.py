@@ -21,7 +21,8 @@ BACKGROUND = (255, 255, 255)
 _INK = (25, 25, 35)
 _SUPERSAMPLING = 2
 _ELEVATION = np.radians(24.0)
-_AZIMUTHS = 16
+# Three of each quarter: along an axis a box is a flat rectangle, and its sides are unseen.
+_AZIMUTHS = np.radians([90.0 * k + turn for k in range(4) for turn in (22.5, 45.0, 67.5)])
 _JUDGED_PIXELS = 72  # side of the pictures on which a view is judged
 _CREASE = 0.75  # cosine between a face's and a vertex's normal below which an edge stays sharp
 _HIDDEN_M = 0.003  # a mark this far behind the visible surface is on the far side
@@ -72,7 +73,7 @@ def subject_of(
 
 def best_axes(subject: Subject) -> Float[np.ndarray, "3 3"]:
     """The side from which most of the good surface, the thumb and the pair of wraps are seen."""
-    views = [look_from(2.0 * np.pi * k / _AZIMUTHS, _ELEVATION) for k in range(_AZIMUTHS)]
+    views = [look_from(azimuth, _ELEVATION) for azimuth in _AZIMUTHS]
     return max(views, key=lambda axes: _judge(subject, axes))
 
 
@@ -196,9 +197,12 @@ def _judge(subject: Subject, axes: Float[np.ndarray, "3 3"]) -> float:
     drawn = seen.face >= 0
     if not drawn.any():
         return 0.0
-    score = np.nan_to_num(subject.score)[subject.faces[seen.face[drawn]]].mean(axis=1)
-    worth = float(score.mean()) / max(float(np.nanmax(score)), 1e-9)
-    worth += 0.5 * float(drawn.mean())
+    score = np.nan_to_num(subject.score)[subject.faces].mean(axis=1)
+    # The share of the good surface that is seen, however small a part of the mesh it is.
+    a, b, c = np.moveaxis(subject.vertices[subject.faces], 1, 0)
+    whole = float((0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) * score).sum())
+    shown = float(score[seen.face[drawn]].sum()) / camera.pixels_per_metre**2
+    worth = 2.0 * shown / max(whole, 1e-12) + 0.5 * float(drawn.mean())
     if subject.thumb is not None and subject.wrap is not None:
         thumb, *wraps = camera.project(np.stack([subject.thumb, *subject.wrap]))
         worth += 0.0 if _hidden(thumb, seen) else 0.5

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.heatmap.colours import VOID, score_colours
+from mjx_grasp.heatmap.colours import VOID, score_colours, steered_shade
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import ANCHOR, THUMB, WRAP, Subject, best_axes, draw
 from mjx_grasp.viz.raster import look_from
@@ -76,6 +76,34 @@ def test_the_best_side_shows_the_good_surface_and_the_thumb():
             wrap=-0.04 * direction + np.array([[0, 0, 0.01], [0, 0, -0.01]]),
         )
         assert best_axes(subject)[2] @ direction > 0.3
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_box_is_never_seen_along_an_axis(axis):
+    box = trimesh.creation.box([0.06, 0.04, 0.12]).subdivide_to_size(0.02)
+    towards = np.eye(3)[axis] * box.extents[axis] / 2
+    good = 1.0 * (box.vertices[:, axis] > towards[axis] - 1e-6)
+    pair = np.array([[0, 0, 0.01], [0, 0, -0.01]])
+    marks = dict(thumb=towards, wrap=pair - towards)
+    subject = Subject(box.vertices, box.faces, box.vertex_normals, good, **marks)
+    near = best_axes(subject)[2]
+    assert near[axis] > 0.3 and np.abs(near).min() > 0.3
+
+
+def test_a_sheet_says_that_grey_is_no_candidate_where_there_is_some():
+    void = ball(lambda v: np.where(v[:, 2] > 0, np.nan, 0.5))
+    for subject, some in ((void, True), (ball(lambda v: v[:, 2] > 0), False)):
+        sheet = np.asarray(contact_sheet([Cell("ball", "", subject)], "Title", cell_pixels=80))
+        assert is_colour(sheet[-40:, sheet.shape[1] // 2 :], VOID, within=3).any() == some
+
+
+def test_each_picture_of_steering_has_a_scale_of_its_own():
+    score = np.r_[np.zeros(900), np.linspace(0.001, 0.003, 99), 0.02].astype(np.float32)
+    shade = steered_shade(score)
+    assert np.all(shade[:900] == 0) and shade.max() == 1.0
+    assert np.median(shade[900:]) > 0.6, "one good point leaves the part lit"
+    assert np.all(np.diff(shade[900:]) >= 0)
+    assert np.array_equal(steered_shade(np.zeros(5)), np.zeros(5))
 
 
 def sheet_of(count, **options):

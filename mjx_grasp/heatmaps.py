@@ -27,8 +27,8 @@ def main() -> None:
     failed = [row for row in rows if row.error]
     print(f"written: {len(rows) - len(failed)} of {len(rows)} heatmaps, in {config.out}")
     for row in rows:
-        if not row.error and row.best_score == 0.0:
-            print(f"{row.name}: thumb and fingers can oppose nowhere on it; see --span")
+        if row.hint:
+            print(f"{row.name}: {row.hint}; see --span")
     for row in failed:
         print(f"failed: {row.name}: {row.error}", file=sys.stderr)
     if failed:

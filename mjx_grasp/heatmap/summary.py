@@ -33,6 +33,8 @@ class Row:
     seconds: float | None = None
     """Of the heatmap, without reading and pictures; the first of a kind holds compilation."""
     error: str = ""
+    hint: str = ""
+    """Why nothing can be grasped."""
 
 
 def summary_table(rows: Sequence[Row]) -> Table:

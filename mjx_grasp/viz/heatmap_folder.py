@@ -15,9 +15,11 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.heatmap.colours import steered_shade
 from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
+from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
@@ -113,7 +115,8 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
         if cells:
             bar = progress.add_task("contact sheet", total=len(cells))
             titles = _title(config), _subtitle(config, *grip)
-            sheet = contact_sheet(cells, *titles, done=lambda: progress.advance(bar))
+            scale = "root of score over best" if config.steers else "score"
+            sheet = contact_sheet(cells, *titles, scale=scale, done=lambda: progress.advance(bar))
             with replacing(config.out / "contact_sheet.png") as temporary:
                 sheet.save(temporary, optimize=True)
     ordered = [rows[file.name] for file in files]
@@ -160,10 +163,13 @@ def _make_one(
     name = job.file.name
     stored = heatmap_of_mesh(name, job.mesh, grip, config.heatmap)
     place = job.anchor
+    offered, least = stored.heatmap.score, _LEAST
     if place is not None:
         stored = steered(stored, place.point, place.size, config.sigma, config.steering)
+        offered = stored.heatmap.score_without_com
+        least *= float(stored.heatmap.score.max())
     seconds = time.perf_counter() - start
-    _write(stored, config)
+    _write(stored, config, least)
     heatmap, faces = stored.heatmap, stored.faces
     row = Row(
         name=name,
@@ -173,14 +179,30 @@ def _make_one(
         best_score=float(heatmap.score.max()),
         share_above_0_3=float(np.mean(heatmap.score > GOOD)),
         seconds=seconds,
+        hint=_hint(heatmap, grip[0]) if offered.max() < _LEAST else "",
     )
-    note = f"best {row.best_score:.2f}" + (f", {place.source}" if place else "")
-    anchor = place.point if place else None
-    subject = subject_of(heatmap, faces, triple=best_triple(heatmap), anchor=anchor)
-    return row, Cell(name, note, subject)
+    note = "no grasp" if row.hint else f"best {heatmap.score.max():.2f}"
+    triple = None if row.hint else best_triple(heatmap)
+    if place is None:
+        return row, Cell(name, note, subject_of(heatmap, faces, triple=triple))
+    shade = steered_shade(np.asarray(heatmap.score))
+    subject = subject_of(heatmap, faces, shade, triple, place.point)
+    return row, Cell(name, f"{note}, {place.source}", subject)
 
 
-def _write(stored: StoredHeatmap, config: HeatmapsConfig) -> None:
+def _hint(heatmap: Heatmap, span: tuple[float, float]) -> str:
+    """Why nothing can be grasped, as far as widths say it."""
+    text = "thumb and fingers can oppose nowhere on it"
+    widths = heatmap.width[heatmap.valid]
+    beyond = np.abs(widths - np.clip(widths, *span))
+    if not len(widths) or beyond.min() == 0.0:
+        return text
+    low, high = (f"{1e3 * x:g}" for x in span)
+    nearest = 1e3 * widths[beyond.argmin()]
+    return f"{text}: the hand spans {low} to {high} mm, and the nearest width is {nearest:.0f} mm"
+
+
+def _write(stored: StoredHeatmap, config: HeatmapsConfig, least: float) -> None:
     """Everything about one mesh: all numbers, a coloured mesh, the best triples."""
     name = stored.info.name
     save_heatmap(config.out / f"{name}.npz", stored.heatmap, stored.faces, stored.info)
@@ -191,7 +213,7 @@ def _write(stored: StoredHeatmap, config: HeatmapsConfig) -> None:
         config.triples,
         temperature=config.temperature,
         min_distance=config.min_distance,
-        min_score=_LEAST * (float(stored.heatmap.score.max()) if config.steers else 1.0),
+        min_score=least,
     )
     write_triples(config.out / f"{name}.triples.json", drawn, stored.info)
 
@@ -205,4 +227,6 @@ def _subtitle(config: HeatmapsConfig, span: tuple[float, float], friction: float
     text = f"hand span {1e3 * span[0]:g} to {1e3 * span[1]:g} mm, friction {friction:g}"
     if config.anchor is not None:
         text += f", anchor {', '.join(f'{1e3 * x:g}' for x in config.anchor)} mm"
-    return text + (f", sigma {1e3 * config.sigma:g} mm" if config.sigma is not None else "")
+    if config.sigma is not None:
+        text += f", sigma {1e3 * config.sigma:g} mm"
+    return text + (", colours to each panel's best" if config.steers else "")

@@ -17,6 +17,8 @@ from mjx_grasp.records.atomic import replacing, write_json
 
 GOOD = 0.3
 """Rows count the candidates above this score."""
+LEAST = 0.05
+"""Score of what is a grasp at all; of one near a place, against the best of the place."""
 
 
 @dataclass(frozen=True)

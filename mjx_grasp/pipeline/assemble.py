@@ -208,18 +208,19 @@ def known_objects(objects: Sequence[ObjectModel], robot: RobotSpec) -> list[Know
     return [known_object(obj, robot, h) for obj, h in zip(objects, heatmaps, strict=True)]
 
 
-def check_graspable(name: str, best: float, hand: HandSpec) -> None:
+def check_graspable(name: str, best: float, hand: HandSpec, least: float = 0.0) -> None:
     """Refuses an object before anything long starts.
 
     Args:
         name: Of the object.
         best: Its best score.
         hand: That is to grasp it.
+        least: Score that does not count as a grasp yet.
 
     Raises:
-        InputError: Nothing of it has a score.
+        InputError: Nothing of it has a better score.
     """
-    if best <= 0:
+    if best <= least:
         narrow, wide = (1e3 * length for length in hand.span)
         raise InputError(
             "object",

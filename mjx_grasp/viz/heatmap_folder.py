@@ -20,7 +20,7 @@ from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
 from mjx_grasp.heatmap.steering import Heatmap
-from mjx_grasp.heatmap.summary import GOOD, Row, write_summary, write_triples
+from mjx_grasp.heatmap.summary import GOOD, LEAST, Row, write_summary, write_triples
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, find_meshes
@@ -32,7 +32,6 @@ from mjx_grasp.records.settings import NonNegative, Range, Seed, to_record
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import subject_of
 
-_LEAST = 0.05  # score of a triple; where scores are steered, against the best of the place
 _FARTHEST = 1.0  # an anchor farther from the mesh than its diagonal, times this, is a mistake
 
 
@@ -163,7 +162,7 @@ def _make_one(
     name = job.file.name
     stored = heatmap_of_mesh(name, job.mesh, grip, config.heatmap)
     place = job.anchor
-    offered, least = stored.heatmap.score, _LEAST
+    offered, least = stored.heatmap.score, LEAST
     if place is not None:
         stored = steered(stored, place.point, place.size, config.sigma, config.steering)
         offered = stored.heatmap.score_without_com
@@ -179,7 +178,7 @@ def _make_one(
         best_score=float(heatmap.score.max()),
         share_above_0_3=float(np.mean(heatmap.score > GOOD)),
         seconds=seconds,
-        hint=_hint(heatmap, grip[0]) if offered.max() < _LEAST else "",
+        hint=_hint(heatmap, grip[0]) if offered.max() < LEAST else "",
     )
     note = "no grasp" if row.hint else f"best {heatmap.score.max():.2f}"
     triple = None if row.hint else best_triple(heatmap)

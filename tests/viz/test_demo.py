@@ -180,9 +180,11 @@ def test_the_place_is_to_blame_where_no_grasp_is_near_it_and_else_the_object(rob
     place = run._place(box, config)
     with pytest.raises(InputError, match=r"^--anchor: found \(0\.0, 0\.0, 0\.08\).*--sigma"):
         run._steered(heatmap, place, config, robot.hand)
-    nothing = heatmap._replace(score_without_com=0.0 * heatmap.score)
-    with pytest.raises(InputError, match=r"^object: found"):
-        run._steered(nothing, place, config, robot.hand)
+    best = heatmap.score_without_com.max()
+    nothing = heatmap._replace(score_without_com=0.04 / best * heatmap.score_without_com)
+    for asked, near in ((config, place), (DemoConfig(), None)):
+        with pytest.raises(InputError, match=r"^object: found"):
+            run._steered(nothing, near, asked, robot.hand)
 
 
 def refused(match, **settings):

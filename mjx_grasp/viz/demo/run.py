@@ -32,6 +32,7 @@ from mjx_grasp.geometry.vectors import turned_back
 from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.heatmap.steering import Heatmap, steer_to
+from mjx_grasp.heatmap.summary import LEAST
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import resolve
@@ -229,8 +230,8 @@ def _place(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
 
 def _steered(heatmap: Heatmap, place: Anchor | None, config: DemoConfig, hand: HandSpec) -> Steered:
     score, anchor, source = heatmap.score, None, "anywhere good"
+    check_graspable(config.object, float(jnp.max(heatmap.score_without_com)), hand, LEAST)
     if place is not None:
-        check_graspable(config.object, float(jnp.max(heatmap.score_without_com)), hand)
         anchor, source = place.point, place.source
         score = steer_to(heatmap, anchor, place.size, config.sigma, config.steering)
         if not score.any():  # all too far away for its numbers

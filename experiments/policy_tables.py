@@ -416,7 +416,7 @@ def paper_ablation(path: Path) -> str:
         settings.setdefault(row["run"].rsplit("-seed", 1)[0], []).append(row)
     common = set.intersection(*({*map(str, row["changes"].items())} for row in rows))
     lines = []
-    for name, of in settings.items():
+    for name, of in sorted(settings.items(), key=lambda setting: setting[0] != "reference"):
         own = {k: v for k, v in of[0]["changes"].items() if str((k, v)) not in common}
         words = ", ".join(f"`{setting}` {_said(value)}" for setting, value in own.items())
         cells = []

@@ -453,7 +453,7 @@ def _differs(row: dict[str, Any]) -> dict[str, Any]:
 
 def _said(value: Any) -> str:
     if isinstance(value, list):
-        return " to ".join(f"{part:g}" for part in value)
+        return " to ".join(dict.fromkeys(f"{part:g}" for part in value))
     if isinstance(value, bool):
         return "on" if value else "off"
     return f"{value:g}" if isinstance(value, int | float) else str(value)

@@ -71,7 +71,8 @@ def main(arguments: list[str]) -> None:
         if not targets.valid:
             least = 1e3 * settings.targets.min_height
             print(
-                f"{part}: every candidate there has a finger less than {least:g} mm above the table"
+                f"{part}: nothing there that the hand can span, with every finger at least "
+                f"{least:g} mm above the table"
             )
             continue
         print(f"{part}, in {took:.1f} ms:")

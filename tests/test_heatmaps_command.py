@@ -164,14 +164,15 @@ def test_what_cannot_be_grasped_is_said(tmp_path):
     assert run.returncode == 0 and "crate: thumb and fingers can oppose nowhere" in run.stdout
 
 
-def test_of_what_scores_next_to_nothing_it_is_said_too_and_no_triple_is_drawn(tmp_path):
+@pytest.mark.parametrize("place", [(), ("--anchor", "0", "0", "0.008")])
+def test_of_what_scores_next_to_nothing_it_is_said_too_and_no_triple_is_drawn(tmp_path, place):
     trimesh.creation.icosphere(subdivisions=3, radius=0.008).export(tmp_path / "pea.stl")
-    run = heatmaps(tmp_path / "pea.stl", "--out", tmp_path)
+    run = heatmaps(tmp_path / "pea.stl", *place, "--out", tmp_path)
     assert run.returncode == 0, run.stderr
     assert load_heatmap(tmp_path / "pea.npz").heatmap.score.max() > 0
     said = " ".join(run.stdout.split())
     assert "pea: thumb and fingers can oppose nowhere on it: the hand spans 20 to 90 mm" in said
-    assert "the nearest width is 15 mm; see --span" in said
+    assert "the nearest width is 14.8 mm; see --span" in said
     assert json.loads((tmp_path / "pea.triples.json").read_text())["triples"] == []
     sheet = np.asarray(Image.open(tmp_path / "contact_sheet.png").convert("RGB")).astype(int)
     assert not (np.abs(sheet - [235, 60, 40]).max(axis=2) < 40).any()

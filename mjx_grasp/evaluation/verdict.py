@@ -47,11 +47,11 @@ def judged(front: Front) -> list[Judged]:
     force = mean_force(front.trials, front.weights[:1])[0].tolist()
     found = []
     for i, column in enumerate(front.columns):
-        if column.family in (*BASELINES, BEGAN_WITH):
+        if column.family in BASELINES or column.family.startswith(BEGAN_WITH):
             continue
         baselines = [
             Compared(name, success[i] - more.value, force[i], front.peaks_at(i, name), more)
-            for name in front.others(column.family)
+            for name in (front.others(column.family) if np.isfinite(force[i]) else ())
             for more in [front.against(i, name)]
         ]
         k, before = front.before(i), None
@@ -119,7 +119,8 @@ def _sentence(settings: Sequence[Judged]) -> str:
             if one.before and one.before.gain.sign() == sign
         ]
         parts += [f"{changed} ({', '.join(ways)})"] if ways else []
-    lifts = "at an equal force of {:.1f} N per finger the policy lifts {:.1f} %"
+    equal = "an equal force of " if any(one.baselines for one in settings) else ""
+    lifts = f"at {equal}{{:.1f}} N per finger the policy lifts {{:.1f}} %"
     for one in settings:
         if not np.isfinite(one.force):
             parts.append(f"{one.column.label} never begins to lift")

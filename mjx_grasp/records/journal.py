@@ -75,7 +75,7 @@ class Journal:
             file.write(f"{line}\n")
             file.flush()
             os.fsync(file.fileno())
-        self.done[name] = result
+        self.done[name] = json.loads(line)[1]  # as it is when read again
 
     def once(self, name: str, work: Callable[..., Any], *given: Any) -> Any:
         """What a job gave; it is done, and kept, if it was not before.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from typing import Any
 
 import yaml
@@ -12,15 +11,18 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Strict(yaml.SafeLoader):
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        own = [key for key, _ in node.value if key.tag != _MERGE]
-        keys = [self.construct_object(key, deep=True) for key in own]
-        for k, key in enumerate(keys):
-            if key in keys[:k]:
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """The mapping as it is written: what ``<<`` names is filled in later."""
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        seen: list[Any] = []
+        for key, _ in node.value:
+            value = "<<" if key.tag == _MERGE else self.construct_object(key, deep=True)
+            if value in seen:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"{key!r} stands twice", own[k].start_mark
+                    None, None, f"{value!r} stands twice", key.start_mark
                 )
-        return super().construct_mapping(node, deep)
+            seen.append(value)
+        return node
 
 
 def load_yaml(text: str) -> Any:

@@ -168,7 +168,8 @@ def _make_one(
         offered = stored.heatmap.score_without_com
         least *= float(stored.heatmap.score.max())
     seconds = time.perf_counter() - start
-    _write(stored, config, least)
+    hint = _hint(stored.heatmap, grip[0]) if offered.max() < LEAST else ""
+    _write(stored, config, np.inf if hint else least)
     heatmap, faces = stored.heatmap, stored.faces
     row = Row(
         name=name,
@@ -178,7 +179,7 @@ def _make_one(
         best_score=float(heatmap.score.max()),
         share_above_0_3=float(np.mean(heatmap.score > GOOD)),
         seconds=seconds,
-        hint=_hint(heatmap, grip[0]) if offered.max() < LEAST else "",
+        hint=hint,
     )
     note = "no grasp" if row.hint else f"best {heatmap.score.max():.2f}"
     triple = None if row.hint else best_triple(heatmap)
@@ -198,7 +199,7 @@ def _hint(heatmap: Heatmap, span: tuple[float, float]) -> str:
         return text
     low, high = (f"{1e3 * x:g}" for x in span)
     nearest = 1e3 * widths[beyond.argmin()]
-    return f"{text}: the hand spans {low} to {high} mm, and the nearest width is {nearest:.0f} mm"
+    return f"{text}: the hand spans {low} to {high} mm, and the nearest width is {nearest:.1f} mm"
 
 
 def _write(stored: StoredHeatmap, config: HeatmapsConfig, least: float) -> None:

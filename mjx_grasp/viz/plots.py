@@ -125,7 +125,7 @@ def success_against_force(panels: Mapping[str, Sequence[Column]]) -> bytes:
     shown = {}
     for ax, (title, part) in zip(grid, points.items(), strict=True):
         style(ax)
-        ax.set_ylim(20 * (lowest // 20), 109)  # words stand above the points
+        ax.set_ylim(min(80, 20 * (lowest // 20)), 109)  # words stand above the points
         ax.set_xlabel("mean contact force per finger [N]", fontsize=9, color=GREY)
         ax.set_title(fill(title, _TITLE), loc="left", fontsize=10, color=GREY)
         for family in dict.fromkeys(p.family for p in part):

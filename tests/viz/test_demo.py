@@ -101,13 +101,16 @@ def test_the_page_says_where_a_grasp_was_not_what_was_asked_for():
     assert verdict(aside).startswith(found)
     first, second = ({"start_s": 0.1, "from_anchor_mm": mm} for mm in (14.0, 20.0))
     aside["tries"] = [first, *asked["tries"]]
-    assert verdict(aside).endswith("; an earlier try at 14 mm failed")
+    assert verdict(aside).endswith(", after a try at 14 mm")
     aside["tries"] = [second, first, *asked["tries"]]
-    assert verdict(aside).endswith("; 2 earlier tries, the nearest at 14 mm failed")
+    assert verdict(aside).endswith(", after 2 tries, the nearest at 14 mm")
     page = demo_page(shown(True)._replace(result=aside))
     assert "class='verdict aside'" in page and "class='verdict aside'" not in demo_page(shown(True))
     dropped = aside | {"success": False, "grasp": asked["grasp"] | {"outcome": "slipped"}}
     assert verdict(dropped).startswith("slipped, contacts 56 mm from the place")
+    never = dropped | {"tries": [], "from_anchor_mm": None, "as_asked": None}
+    assert verdict(never) == "slipped"
+    assert "contacts from the anchor" not in demo_page(shown(True)._replace(result=never))
 
 
 def test_contacts_are_as_asked_where_hardly_any_are_nearer():

@@ -115,17 +115,25 @@ def test_conditions_stand_side_by_side_and_policies_share_their_label():
         success_against_force({})
 
 
+def kept(label, successes, force, squeeze=None):
+    made = column(label, successes, force, squeeze)
+    letters = "S" * successes + "L" * (64 - successes)
+    rows = {
+        name: replace(row, outcomes=letters, forces_n=(force,) * 64, starts=tuple(range(64)))
+        for name, row in made.rows.items()
+    }
+    return made._replace(rows=rows)
+
+
+def test_what_always_lifts_stands_near_the_top_of_its_picture():
+    always = [kept("policy", 64, 2.0), kept("squeeze 5 N", 64, 4.0, 5.0)]
+    picture = pixels(success_against_force({"easy": always}))
+    rows, _ = np.nonzero(of_colour(picture[: int(0.85 * len(picture))], BLUE))
+    assert rows.max() < 0.5 * len(picture)
+
+
 def test_success_within_a_budget_is_a_rising_curve_of_its_colour():
     """A policy that lifts everything at 2 N, beside a squeeze that lifts half of it at 4 N."""
-
-    def kept(label, successes, force, squeeze=None):
-        made = column(label, successes, force, squeeze)
-        letters = "S" * successes + "L" * (64 - successes)
-        rows = {
-            name: replace(row, outcomes=letters, forces_n=(force,) * 64, starts=tuple(range(64)))
-            for name, row in made.rows.items()
-        }
-        return made._replace(rows=rows)
 
     (front,) = fronts([kept("policy", 64, 2.0), kept("squeeze 5 N", 32, 4.0, 5.0)])
     picture = pixels(success_within_budgets({"easy": front}))

@@ -88,11 +88,9 @@ def verdict(result: dict[str, Any]) -> str:
     else:
         words += ", but not where it was asked for: "
     words += f"contacts {apart:.0f} mm from the place, {result['at_best_mm']:.0f} at best"
-    if failed := [each["from_anchor_mm"] for each in result["tries"][:-1]]:
-        before = (
-            "an earlier try" if len(failed) == 1 else f"{len(failed)} earlier tries, the nearest"
-        )
-        words += f"; {before} at {min(failed):.0f} mm failed"
+    if before := [each["from_anchor_mm"] for each in result["tries"][:-1]]:
+        tries = "a try" if len(before) == 1 else f"{len(before)} tries, the nearest"
+        words += f", after {tries} at {min(before):.0f} mm"
     return words
 
 

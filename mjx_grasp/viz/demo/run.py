@@ -371,7 +371,8 @@ def _result(
 ) -> dict[str, Any]:
     """What `result.json` holds."""
     normals = np.asarray(end.state.closing.contacts.normal[0], np.float64)
-    apart, best = from_anchor(steered.anchor, contacts), from_anchor(steered.anchor, steered.best)
+    apart = tries[-1]["from_anchor_mm"] if tries else None
+    best = from_anchor(steered.anchor, steered.best)
     return {
         "schema": SCHEMA,
         "object": obj.name,

@@ -50,11 +50,11 @@ def keep(page, folder, name):
 
 
 def stops(page, live):
-    """Stops a grasp; whether that was still to be done, as it ends after some seconds of holding."""
+    """Stops a grasp, unless it has ended by itself after some seconds of holding; whether it did."""
     from playwright.sync_api import TimeoutError as TooLong
 
     try:
-        page.get_by_role("button", name="stop", exact=True).click(timeout=3_000)
+        page.get_by_role("button", name="stop", exact=True).click()
     except TooLong:
         assert live.done
         return False

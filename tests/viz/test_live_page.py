@@ -50,7 +50,7 @@ def keep(page, folder, name):
 
 
 def stops(page, live):
-    """Stops a grasp, unless it has ended by itself after some seconds of holding; whether it did."""
+    """Stops a grasp, unless it has ended by itself, after seconds of holding; whether it did."""
     from playwright.sync_api import TimeoutError as TooLong
 
     try:

@@ -96,7 +96,7 @@ def test_the_page_needs_nothing_beside_it_and_says_what_came_of_it():
 def test_the_page_says_where_a_grasp_was_not_what_was_asked_for():
     asked = shown(True).result
     assert verdict(asked) == "lifted and held, contacts 23 mm from the place, 12 at best"
-    aside = asked | {"from_anchor_mm": 56.0, "as_asked": run.as_asked(56.0, 12.5)}
+    aside = asked | {"from_anchor_mm": 56.0, "as_asked": False}
     found = "lifted and held, but not where it was asked for: contacts 56 mm from the place"
     assert verdict(aside).startswith(found)
     first, second = ({"start_s": 0.1, "from_anchor_mm": mm} for mm in (14.0, 20.0))
@@ -113,9 +113,16 @@ def test_the_page_says_where_a_grasp_was_not_what_was_asked_for():
     assert "contacts from the anchor" not in demo_page(shown(True)._replace(result=never))
 
 
-def test_contacts_are_as_asked_where_hardly_any_are_nearer():
-    assert run.as_asked(32.0, 12.5) and run.as_asked(10.0, 12.5)
-    assert run.as_asked(33.0, 12.5) is False and run.as_asked(None, None) is None
+def test_contacts_are_as_asked_where_hardly_any_are_nearer_and_those_of_the_last_try_count():
+    def found(*distances, best=12.5):
+        tries = [{"start_s": 0.1 * k, "from_anchor_mm": mm} for k, mm in enumerate(distances)]
+        return run.placed(tries, best)
+
+    assert found(50.0, 32.0) == {"from_anchor_mm": 32.0, "at_best_mm": 12.5, "as_asked": True}
+    assert found(10.0)["as_asked"] is True
+    assert found(10.0, 33.0) == {"from_anchor_mm": 33.0, "at_best_mm": 12.5, "as_asked": False}
+    assert found() == {"from_anchor_mm": None, "at_best_mm": 12.5, "as_asked": None}
+    assert set(found(None, best=None).values()) == {None}
 
 
 def test_tries_have_the_contacts_that_the_hand_closed_on_in_the_objects_frame(robot):

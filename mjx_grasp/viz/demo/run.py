@@ -346,16 +346,18 @@ def from_anchor(
     return round(1e3 * float(np.linalg.norm(contacts - anchor, axis=1).mean()), 1)
 
 
-def as_asked(apart_mm: float | None, best_mm: float | None) -> bool | None:
-    """Whether contacts are about as near to the place as can be; None of no place.
+def placed(tries: list[dict[str, float | None]], best_mm: float | None) -> dict[str, Any]:
+    """How near to the place the contacts of the last try were, and whether that is as asked.
+
+    Nothing is said of a hand that has not closed, or without a place.
 
     Args:
-        apart_mm: Their distance from it, see `from_anchor` [mm].
-        best_mm: That of the contacts with the best score [mm].
+        tries: From `_tries`.
+        best_mm: Distance of the contacts with the best score, see `from_anchor` [mm].
     """
-    if apart_mm is None or best_mm is None:
-        return None
-    return apart_mm <= best_mm + _ASIDE_MM
+    apart = tries[-1]["from_anchor_mm"] if tries else None
+    near = None if apart is None or best_mm is None else apart <= best_mm + _ASIDE_MM
+    return {"from_anchor_mm": apart, "at_best_mm": best_mm, "as_asked": near}
 
 
 def _result(
@@ -371,8 +373,6 @@ def _result(
 ) -> dict[str, Any]:
     """What `result.json` holds."""
     normals = np.asarray(end.state.closing.contacts.normal[0], np.float64)
-    apart = tries[-1]["from_anchor_mm"] if tries else None
-    best = from_anchor(steered.anchor, steered.best)
     return {
         "schema": SCHEMA,
         "object": obj.name,
@@ -381,12 +381,10 @@ def _result(
         "asked": steered.source,
         "anchor_m": None if steered.anchor is None else np.round(steered.anchor, 4).tolist(),
         "success": row.outcome == "success",
-        "as_asked": as_asked(apart, best),
         "phases": [stage._asdict() for stage in stages],
         "tries": tries,
         "contacts_m": np.round(contacts, 4).tolist(),
-        "from_anchor_mm": apart,
-        "at_best_mm": best,
+        **placed(tries, from_anchor(steered.anchor, steered.best)),
         "normals": np.round(normals, 4).tolist(),
         "grasp": asdict(row),
         "seconds": seconds,

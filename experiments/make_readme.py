@@ -168,6 +168,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "pipeline-ablation": pipeline_tables.pipeline_ablation(
                 folder / "pipeline_ablation.json"
             ),
+            "steering-adds": pipeline_tables.steering_adds(folder / "steered_grasps.json"),
             "walls": pipeline_tables.pipeline_ablation(folder / "pipeline_ablation_walls.json"),
             "foreign": grasp_tables.foreign_meshes(folder / "foreign_meshes.json"),
             "grasper": speed_tables.grasper_speed(

@@ -301,6 +301,28 @@ def test_a_table_without_results_or_without_pairs(tables, tmp_path):
 
 
 @pytest.mark.long
+def test_what_steering_brings_is_told_in_pairs(tables, tmp_path):
+    def trial(way, name, apart, outcome="success"):
+        trial = {"object": name, "outcome": outcome, "force_mean_n": 2.0}
+        return trial | {"steering": way, "achieved_mm": apart}
+
+    rows = [
+        *(trial("default", "can", 80.0) for _ in range(4)),
+        *(trial("default", "box", apart) for apart in (60.0, None)),
+        *(trial("contacts", "can", 20.0, "slipped" if k == 0 else "success") for k in range(4)),
+        *(trial("contacts", "box", 30.0) for _ in range(2)),
+    ]
+    path = tmp_path / "steered.json"
+    path.write_text(json.dumps({"rows": rows}))
+    said = tables.steering_adds(path)
+    assert "6 pairs of 2 objects" in said
+    assert "20.0 mm from it" in said and "instead of 80.0 mm" in said
+    assert "-12.5 (" in said  # a quarter of one of two objects
+    path.write_text(json.dumps({"rows": rows[:-1]}))
+    with pytest.raises(FileError, match=r"steered\.json.*pairs"):
+        tables.steering_adds(path)
+
+
 def test_planned_and_published_reaching_are_compared_on_one_object(ablation, tmp_path):
     out = tmp_path / "ablation.json"
     config = ablation.PipelineAblationConfig(

@@ -475,7 +475,7 @@ def shipped_policy(path: Path) -> str:
 def shipped_handoffs(folder: Path) -> str:
     """What the shipped sets of start states hold, and every command that made them."""
     parts = []
-    for name in ("reached", "standins"):
+    for name in ("reached", "standins", "cube"):
         d = read(folder / f"handoffs_{name}.json")
         if d is None:
             continue

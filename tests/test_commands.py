@@ -156,11 +156,13 @@ def test_a_run_goes_on_with_the_policy_it_began_with(scene, tmp_path, monkeypatc
     monkeypatch.setattr(job, "_run", lambda *_: None)
     run_training(replace(config, start_from=str(policy)), Console(quiet=True))
     run_training(stored_config(run), Console(quiet=True))
-    same = load_policy(policy)
-    replace(same, meta=same.meta | {"more": 1}).save(policy)
+    policy.unlink()  # the run has a copy: whatever ships later
+    run_training(stored_config(run), Console(quiet=True))
+    own = load_policy(run / "start.npz")
+    replace(own, meta=own.meta | {"more": 1}).save(run / "start.npz")
     status, error = refusal(monkeypatch, capsys, "train", "--resume", run)
     assert status == 2
-    assert "first.npz: found a changed file" in error and str(run) in error
+    assert "start.npz: found a changed file" in error and str(run) in error
 
 
 def test_a_run_says_by_which_versions_it_was_resumed(scene, tmp_path, monkeypatch):

@@ -231,7 +231,7 @@ def test_actions_are_clipped(env):
 
 
 @pytest.mark.wrong_types
-def test_what_cannot_be_is_refused(task, env):
+def test_what_cannot_be_is_refused(task, env, single):
     with pytest.raises(gymnasium.error.ResetNeeded):
         TaskVectorEnv(task, 2).step(np.zeros((2, task.action_size)))
     env.reset(seed=0)
@@ -241,8 +241,15 @@ def test_what_cannot_be_is_refused(task, env):
         env.step(np.full(env.action_space.shape, np.nan))
     with pytest.raises(InputError, match="3 seeds"):
         env.reset(seed=[1, 2, 3])
+    for seed in ([None, None], [1, 2.5], [], -1, True, "3"):
+        with pytest.raises(InputError, match=r"seed.*whole number, 0 or more or one per world"):
+            env.reset(seed=seed)
+    with pytest.raises(InputError, match=r"seed.*whole number, 0 or more"):
+        single.reset(seed=[3])
     seen, _ = env.reset(seed=np.int64(3))
     np.testing.assert_array_equal(seen, env.reset(seed=3)[0])
+    env.reset(seed=np.arange(3, 5))
+    np.testing.assert_array_equal(env.state(), env.reset(seed=[3, 4]) and env.state())
 
 
 def test_settings_that_cannot_work_are_refused():

@@ -287,10 +287,10 @@ def test_the_official_download_is_found_and_equal_stems_are_told_apart(tmp_path)
     scan.mkdir(parents=True)
     for name in ("nontextured.ply", "textured.obj"):
         (scan / name).touch()
-    for name in ("a.obj", "a.stl", "b.OFF", "c.txt"):
+    for name in ("a.obj", "a.stl", "b.OFF", "c.txt", "025_mug.obj"):
         (tmp_path / name).touch()
     found = {f.name: f.path for f in find_meshes(tmp_path)}
-    assert list(found) == ["025_mug", "a.obj", "a.stl", "b"]
+    assert list(found) == ["025_mug", "025_mug.obj", "a.obj", "a.stl", "b"]
     assert found["025_mug"].name == "nontextured.ply"
     assert catalogue_entry("025_mug").name == "mug"
     assert catalogue_entry("019_pitcher_base").name == "pitcher_base"

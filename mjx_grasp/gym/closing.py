@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import gymnasium
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.gym.envs import TaskEnv, TaskVectorEnv
 from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.handoff.shipped import shipped_for
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.tasks.assemble import build_scene_of, build_world
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.tasks.task import Task
 from mjx_grasp.training.config import TrainConfig, preset_config
+from mjx_grasp.training.start import handoffs_wanted
 
 
 def closing_vector_env(
@@ -25,8 +29,9 @@ def closing_vector_env(
     Args:
         num_envs: Worlds; `config.ppo.worlds` if None.
         config: Settings of a training, or the name of a preset. What counts is what the task is
-            made of: objects, robot, handoffs (the shipped ones if None), engine, scene, task,
-            noise, and whether there is a privileged critic.
+            made of: objects, robot, handoffs, engine, scene, task, noise, and whether there is a
+            privileged critic. Where no handoffs are named they are those that ship for it, as for
+            a training, or, where it would make its own first, the shipped ones of the eight.
         extra_terms: Reward terms beside the task's own.
 
     Raises:
@@ -52,8 +57,9 @@ def _task(config: TrainConfig, worlds: int, extra_terms: tuple[RewardTerm, ...])
     if not isinstance(worlds, int) or worlds < 1:
         raise InputError("num_envs", worlds, "a whole number, 1 or more")
     robot = load_robot(config.robot)
-    stored = load_handoffs(config.handoffs or shipped_handoffs(config.objects_dir), robot=robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, config.scene, config.weight)
+    own = config.handoffs or shipped_for(handoffs_wanted(config, Path()), scene.objects)
+    stored = load_handoffs(own or shipped_handoffs(config.objects_dir), robot=robot)
     names, without = eligible(scene.object_names, stored)
     if not names:
         raise InputError("objects", ", ".join(without), "objects with start states in the handoffs")

@@ -56,11 +56,12 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             options: None are known.
 
         Raises:
-            InputError: Not one seed per world.
+            InputError: Not one seed, nor one per world.
         """
-        if isinstance(seed, np.integer):
-            seed = int(seed)
-        first = seed if isinstance(seed, int) or seed is None else seed[0]
+        first = None
+        if seed is not None:
+            seed = _whole(seed, most_axes=1)
+            first = seed if isinstance(seed, int) else seed[0]
         super().reset(seed=first)
         if seed is None and self._now is not None:
             now = self._worlds.renew(self._now, jnp.ones(self.num_envs, bool))
@@ -131,7 +132,13 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float[np.ndarray, " d"], dict[str, Any]]:
-        """Begins an episode; without a seed one goes on with the random numbers there are."""
+        """Begins an episode; without a seed one goes on with the random numbers there are.
+
+        Raises:
+            InputError: No such seed.
+        """
+        if seed is not None:
+            seed = _whole(seed, most_axes=0)
         super().reset(seed=seed)
         if seed is None and self._now is not None:
             now = self._worlds.renew(self._now, jnp.ones(1, bool))
@@ -165,6 +172,19 @@ def _spaces(worlds: Worlds) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box 
 
 def _actions(task: Task) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (task.action_size,), np.float32)
+
+
+def _whole(seed: Any, most_axes: int) -> Any:
+    """One seed or a list of some, as Gymnasium wants them: whole numbers of Python, not negative.
+
+    Raises:
+        InputError: They are not.
+    """
+    found = np.asarray(seed)
+    if found.ndim > most_axes or found.dtype.kind not in "iu" or (found < 0).any():
+        each = " or one per world" if most_axes else ""
+        raise InputError("seed", seed, f"a whole number, 0 or more{each}")
+    return found.tolist()
 
 
 def _keys(seeds: Sequence[int]) -> Array:

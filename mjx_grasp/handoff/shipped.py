@@ -2,51 +2,67 @@
 
 from __future__ import annotations
 
-import shutil
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.handoff.config import HandoffConfig
-from mjx_grasp.records.atomic import read_json, replacing
-from mjx_grasp.records.settings import to_record
-from mjx_grasp.records.spread import unspread
-
-SHIPPED = "handoffs_cube.npz"
-"""Reached states of the stand-in that the preset `cpu` trains on; its report is beside it."""
+from mjx_grasp.handoff.dataset import load_handoffs
+from mjx_grasp.objects.model import ObjectModel
 
 
-def shipped_for(wanted: HandoffConfig) -> Path | None:
-    """The shipped set, if its settings are those of a set that is wanted; its report tells.
+class ShippedSet(NamedTuple):
+    """A set of reached states in `assets/`, by the settings of `handoffs` but for these."""
 
-    Settings alone are compared: it may be of an earlier revision of the code.
+    file: str
+    scans: bool
+    """of real scans; else of stand-ins"""
+    per_object: int
+    """as many as each object has, unless fewer were found"""
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return asset_path(self.file)
+
+
+SHIPPED = (
+    ShippedSet("handoffs_cube.npz", scans=False, per_object=256),
+    ShippedSet("handoffs_standins.npz", scans=False, per_object=128),
+    ShippedSet("handoffs_reached.npz", scans=True, per_object=128),
+)
+"""The smallest first."""
+_ASKED = ("objects", "objects_dir", "out", "seed", "per_object", "kind", "processes", "address")
+"""Settings that do not change what a single state is, or are looked at one by one."""
+
+
+def shipped_for(wanted: HandoffConfig, objects: Sequence[ObjectModel]) -> Path | None:
+    """The first shipped set that would do in a set's place: of its objects, kind and settings.
+
+    It has at least as many states as are wanted of each object, or all that were found. Whatever
+    the seed, the states are the same.
 
     Args:
         wanted: What would be made.
+        objects: Its objects, as they are here.
+
+    Returns:
+        The set's file; None where states have to be made.
 
     Raises:
-        FileError: The set or its report cannot be read.
+        FileError: A shipped set cannot be read.
     """
-    states = asset_path(SHIPPED)
-    report = read_json(states.with_suffix(".json"), "the report of the shipped start states")
-    made_of = _but_for_the_file(report.get("config", {}))
-    return states if made_of == _but_for_the_file(to_record(unspread(wanted))) else None
-
-
-def take_shipped(shipped: Path, out: Path) -> None:
-    """Copies a set, and its report beside it.
-
-    Args:
-        shipped: The set.
-        out: Where it is wanted.
-    """
-    for source, path in (
-        (shipped.with_suffix(".json"), out.with_suffix(".json")),
-        (shipped, out),
-    ):
-        with replacing(path) as temporary:
-            shutil.copyfile(source, temporary)
-
-
-def _but_for_the_file(settings: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in settings.items() if name != "out"}
+    usual = HandoffConfig(out=wanted.out)
+    others = (name for name in vars(wanted) if name not in _ASKED)
+    if wanted.kind != "reached" or any(getattr(wanted, n) != getattr(usual, n) for n in others):
+        return None
+    hashes = {obj.name: obj.content_hash for obj in objects}
+    for each in SHIPPED:
+        if each.scans == (wanted.objects_dir is None) or each.per_object < wanted.per_object:
+            continue
+        stored = load_handoffs(each.path)
+        there = zip(stored.object_names, stored.object_content_hash, strict=True)
+        if hashes.items() <= set(there):
+            return each.path
+    return None

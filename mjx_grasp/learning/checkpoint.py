@@ -26,7 +26,8 @@ from mjx_grasp.records.atomic import read_json, write_json
 _MANIFEST = "manifest.json"
 _VERSION = 3
 """1: one item `state` with everything, and a manifest of the files alone. 2: no mean of weights."""
-_NAME = re.compile(r"^iteration_(\d+)$")
+_STEM = "iteration_"
+_NAME = re.compile(rf"^{_STEM}(\d+)$")
 
 
 def save_checkpoint(
@@ -38,6 +39,8 @@ def save_checkpoint(
 ) -> Path:
     """Writes `folder/iteration_N`, complete or not at all, and drops all but the newest `keep`.
 
+    What a killed process has left of others is dropped too.
+
     Of several processes, which all have to call this, each writes what it has.
 
     Args:
@@ -48,7 +51,7 @@ def save_checkpoint(
         keep: Checkpoints that stay.
     """
     folder = Path(folder).resolve()
-    path = folder / f"iteration_{int(state.iteration):08d}"
+    path = folder / f"{_STEM}{int(state.iteration):08d}"
     writes = env.devices.writes
     if path.exists() and writes:
         shutil.rmtree(path)
@@ -68,8 +71,10 @@ def save_checkpoint(
     if writes:
         manifest = {"version": _VERSION, "worlds": _layout(worlds), "files": _digests(path)}
         write_json(path / _MANIFEST, manifest)
-        for old in checkpoints(folder)[:-keep]:
-            shutil.rmtree(old)
+        kept = set(checkpoints(folder)[-keep:])
+        for other in folder.iterdir():  # older ones, and what a kill has left
+            if other.name.startswith(_STEM) and other not in kept:
+                shutil.rmtree(other)
     env.devices.wait(f"after {path.name}")
     return path
 

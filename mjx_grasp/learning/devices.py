@@ -22,6 +22,9 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import CommandSettings, Count, WholeNumber
 
 AXIS = "devices"
+_EVALUATES_S = 24 * 3600
+"""JAX stops all processes where they do not end within so long of each other, and the first one
+evaluates what all have trained [s]"""
 
 
 @dataclass(frozen=True)
@@ -167,23 +170,20 @@ def join_hosts(run_on: RunOn) -> None:
         return
     address = None if run_on.coordinator == "auto" else run_on.coordinator
     try:
-        jax.distributed.initialize(address, run_on.processes, run_on.process)
+        jax.distributed.initialize(
+            address, run_on.processes, run_on.process, shutdown_timeout_seconds=_EVALUATES_S
+        )
     except (ValueError, RuntimeError) as error:
         what = f"{run_on.coordinator} ({str(error).strip().splitlines()[0]})"
         expected = "HOST:PORT with --processes and --process, or auto within SLURM or Open MPI"
         raise InputError("--coordinator", what, expected) from error
 
 
-def find_devices(run_on: RunOn, worlds: int, minibatches: int) -> Devices:
+def find_devices(run_on: RunOn) -> Devices:
     """The devices of a training.
 
-    Args:
-        run_on: How many are wanted.
-        worlds: They are split evenly over the devices,
-        minibatches: and on each device over these.
-
     Raises:
-        InputError: There are not so many, or the worlds cannot be split evenly.
+        InputError: There are not so many as are wanted.
     """
     available, several = jax.devices(), jax.process_count() > 1
     usual = len(available) if several or jax.default_backend() == "gpu" else 1
@@ -192,12 +192,20 @@ def find_devices(run_on: RunOn, worlds: int, minibatches: int) -> Devices:
         here = f"{count} ({len(available)} {jax.default_backend()} device(s) here)"
         most = f"{len(available)}" if several else f"at most {len(available)}"
         raise InputError("--devices", here, f"{most}, or auto")
-    if worlds % (count * minibatches):
-        multiple = f"a multiple of {count} devices × {minibatches} minibatches"
-        raise InputError("--ppo.worlds", worlds, multiple)
     mesh = None
     if count > 1:
         # With its default partitioner XLA of JAX 0.11 crashes on a physics step of MJX.
         jax.config.update("jax_use_shardy_partitioner", False)
         mesh = Mesh(np.array(available[:count]), (AXIS,))
     return Devices(mesh, mesh is None if run_on.donate is None else run_on.donate)
+
+
+def check_even(worlds: int, minibatches: int, devices: Devices) -> None:
+    """Makes sure that worlds are split evenly over devices, and on each over minibatches.
+
+    Raises:
+        InputError: They cannot be.
+    """
+    if worlds % (devices.count * minibatches):
+        multiple = f"a multiple of {devices.count} devices × {minibatches} minibatches"
+        raise InputError("--ppo.worlds", worlds, multiple)

@@ -22,12 +22,13 @@ def bytes_per_world(scene: Scene, unroll: int) -> int:
 
 
 def worlds_that_fit(scene: Scene, ppo: PPOConfig, memory_bytes: int, devices: int = 1) -> int:
-    """The worlds that are asked for, or as many as fit.
+    """The worlds that are asked for, or as many as fit, evenly over devices and minibatches.
 
-    On each device these are the power of two that four fifths of its memory hold.
+    What fits on a device is the power of two that four fifths of its memory hold.
     """
     fit = int(0.8 * memory_bytes / bytes_per_world(scene, ppo.unroll))
-    return min(ppo.worlds, devices * 2 ** int(math.log2(max(fit, ppo.minibatches))))
+    each = min(ppo.worlds // devices, 2 ** int(math.log2(max(fit, ppo.minibatches))))
+    return devices * max(each - each % ppo.minibatches, ppo.minibatches)
 
 
 def device_memory() -> int:

@@ -14,6 +14,9 @@ from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.surface import outside_distance, sample_surface
 from mjx_grasp.records.settings import Count, NonNegative, Range, Seed, Settings
 
+_NEIGHBOURS = 4
+"""of a component, with which it may be put together"""
+
 
 @dataclass(frozen=True)
 class Division(Settings):
@@ -180,26 +183,30 @@ def _decomposed(
 def _gathered(parts: list[trimesh.Trimesh], limit: int) -> list[trimesh.Trimesh]:
     """At most ``limit`` meshes of the components.
 
-    While there are more, the one of the smallest hull joins that with which a common hull encloses
-    the least volume besides the two.
+    While there are more, the one of the smallest hull joins that of its neighbours with which a
+    common hull encloses the least volume besides the two.
     """
-    parts = list(parts)
-    volume = [part.convex_hull.volume for part in parts]
-    while len(parts) > limit:
+    groups, hulls = [[part] for part in parts], [part.convex_hull for part in parts]
+    volume = np.array([hull.volume for hull in hulls])
+    centre = np.array([hull.centroid for hull in hulls])
+    while len(groups) > limit:
         k = int(np.argmin(volume))
-        smallest = parts.pop(k)
-        own = volume.pop(k)
-        joined = [_joined(part, smallest) for part in parts]
-        common = np.array([part.convex_hull.volume for part in joined])
-        j = int(np.argmin(common - volume - own))
-        parts[j], volume[j] = joined[j], float(common[j])
-    return parts
+        smallest, own, at = groups.pop(k), hulls.pop(k), centre[k]
+        volume, centre = np.delete(volume, k), np.delete(centre, k, axis=0)
+        near = np.argsort(np.linalg.norm(centre - at, axis=1), kind="stable")[:_NEIGHBOURS]
+        common = [_joined([hulls[j], own]).convex_hull for j in near]
+        best = int(np.argmin([both.volume for both in common] - volume[near]))
+        j = int(near[best])
+        groups[j] += smallest
+        hulls[j], volume[j], centre[j] = common[best], common[best].volume, common[best].centroid
+    return [_joined(group) for group in groups]
 
 
-def _joined(a: trimesh.Trimesh, b: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The components of both."""
-    vertices = np.concatenate([a.vertices, b.vertices])
-    faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
+def _joined(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """The components of all."""
+    begin = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + k for part, k in zip(parts, begin, strict=False)])
     return trimesh.Trimesh(vertices, faces, process=False)
 
 

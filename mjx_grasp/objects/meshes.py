@@ -19,6 +19,7 @@ MIN_EXTENT, MAX_EXTENT = 0.005, 1.0  # m, for each of the three extents
 _TO_METRES = "trimesh.load_mesh(FILE).apply_scale(0.001).export(NEW_FILE) makes metres of them"
 _MAX_HOLE = 0.15  # a hole's largest extent over the mesh's diagonal that is still filled
 _MAX_DROPPED = 0.02  # share of the faces that may go because their edges have more than two faces
+_FLAT = 1e-6  # least volume of a component over its area and the diagonal of its box
 _ROUNDS = 4  # removing bad faces opens holes, filling them can pinch an edge
 
 
@@ -26,7 +27,8 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     """Reads a mesh in metres and repairs it to a closed surface with outward winding.
 
     Args:
-        path: An .obj, .ply, .stl, .glb or .off file.
+        path: An .obj, .ply, .stl, .glb or .off file. The y axis of a .glb points up by its standard
+            and becomes z; in the others z does.
 
     Raises:
         FileError: The file is missing, of another kind, not readable, empty, not finite, in the
@@ -44,6 +46,9 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         raise FileError(
             path, f"nothing readable ({type(error).__name__}: {error})", "a triangle mesh"
         ) from error
+    if path.suffix.lower() == ".glb":
+        x, y, z = vertices.T
+        vertices = np.stack([x, -z, y], axis=1)
     return repair(vertices, faces, path)
 
 
@@ -65,8 +70,8 @@ def repair(
     """Makes a closed, outward-wound mesh of raw triangles, or refuses.
 
     Steps: merge equal vertices; drop degenerate and duplicate faces and those around edges with
-    more than two faces; make the winding agree; fill small holes; turn components outward. A hull
-    is never put in a mesh's place.
+    more than two faces; make the winding agree; fill small holes; drop components without volume,
+    such as single triangles; turn the others outward. A hull is never put in a mesh's place.
 
     Args:
         vertices: Positions, m.
@@ -99,10 +104,12 @@ def repair(
             "a closed surface, or one with small holes; close it, or unite its bodies, in a mesh "
             "editor",
         )
+    faces = _without_flat(vertices, faces)
     mesh = trimesh.Trimesh(vertices, _outward(vertices, faces), process=False)
+    volume = mesh.volume if len(faces) else 0.0
+    if volume <= 0.0:
+        raise FileError(path, f"an enclosed volume of {volume:.3g} m^3", "a positive volume")
     mesh.remove_unreferenced_vertices()
-    if mesh.volume <= 0.0:
-        raise FileError(path, f"an enclosed volume of {mesh.volume:.3g} m^3", "a positive volume")
     return mesh
 
 
@@ -233,6 +240,20 @@ def _consistent(faces: np.ndarray) -> np.ndarray:
         if flip[members].mean() > 0.5:
             flip[members] = ~flip[members]
     return np.where(flip[:, None], faces[:, ::-1], faces)
+
+
+def _without_flat(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The closed components that enclose something."""
+    count, label = _components(faces)
+    solid = np.zeros(count, bool)
+    for component in range(count):
+        corners = vertices[faces[label == component]]
+        corners = corners - corners.mean(axis=(0, 1))
+        a, b, c = corners.swapaxes(0, 1)
+        volume = abs(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0
+        solid[component] = volume > _FLAT * area * np.linalg.norm(np.ptp(corners, axis=(0, 1)))
+    return faces[solid[label]]
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

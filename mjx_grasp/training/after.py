@@ -64,7 +64,7 @@ def evaluate_run(
     alone = task.closing if isinstance(task, EndToEndConfig) else task
     others = baselines(base, alone)
     budgets = FORCE_BUDGETS_N if task.observation.budget else (base.force_budget,)
-    policies = {None: policy, BEGAN_WITH: start_policy(config, scene.robot)}
+    policies = {None: policy, BEGAN_WITH: start_policy(replace(config, resume=folder), scene.robot)}
     own = [
         (replace(base, force_budget=budget), controller, name)
         for name, controller in policies.items()

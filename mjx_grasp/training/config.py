@@ -52,10 +52,10 @@ class TrainConfig(ObjectsConfig):
     robot: str = "rizon4_hx5d20"
     """name or description file of the robot"""
     handoffs: Path | None = None
-    """handoff set; if none is given, one that ships with the package where its settings are these,
-    as they are in the preset cpu, else it is made first"""
+    """handoff set; if none is given, one that ships with the package where it has these objects and
+    is of this kind, as in the presets cpu and gpu, else it is made first"""
     handoffs_per_object: Count = 64
-    """states per object when they are made first [-]"""
+    """states per object when they are made first; a shipped set has as many, or is not taken [-]"""
     handoffs_kind: HandoffKind = "ik"
     """what kind they are then; reached ones take minutes for each object"""
     handoffs_gate: HandoffGate = "default"
@@ -70,7 +70,8 @@ class TrainConfig(ObjectsConfig):
     engine: Engine = "mjx"
     """what steps the physics: mjx (Warp, GPU or CPU) or mujoco (native, in threads)"""
     seed: Seed = 0
-    """of start states, parameters and exploration; on a GPU a run does not quite repeat itself"""
+    """of parameters, exploration and start states that are made; on a GPU a run does not quite
+    repeat itself"""
     fit_memory: bool = False
     """take fewer worlds than --ppo.worlds where the device's memory does not hold them; off where
     that is given"""
@@ -158,6 +159,9 @@ def settings_of(preset: str) -> TrainConfig:
         return TrainConfig(
             preset="gpu",
             fit_memory=True,
+            # Where reaching comes to, as in a whole grasp: the shipped sets have such ones.
+            handoffs_kind="reached",
+            handoffs_per_object=128,
             scene=SceneConfig(fix_idle_fingers=True, physics_dt=0.005),
             task=FEELING,
             noise=VARIED,

@@ -15,12 +15,12 @@ from rich.console import Console
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
-from mjx_grasp.handoff.shipped import shipped_for, take_shipped
+from mjx_grasp.handoff.shipped import shipped_for
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
 from mjx_grasp.learning.checkpoint import newest_checkpoint, restore_checkpoint
 from mjx_grasp.learning.config import PPOConfig
-from mjx_grasp.learning.devices import Devices, find_devices
+from mjx_grasp.learning.devices import Devices, check_even, find_devices
 from mjx_grasp.learning.log import require_wandb
 from mjx_grasp.learning.memory import device_memory, worlds_that_fit
 from mjx_grasp.learning.policy import Policy, policy_from_training
@@ -29,7 +29,7 @@ from mjx_grasp.learning.run import Member, train_together
 from mjx_grasp.learning.warm_start import begin_from
 from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
 from mjx_grasp.objects.meshes import find_scan
-from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
+from mjx_grasp.records.atomic import check_new_folder, copy_file, read_json, write_json
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.identity import RobotIdentity
@@ -40,7 +40,7 @@ from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.after import evaluate_run
 from mjx_grasp.training.config import TrainConfig
-from mjx_grasp.training.start import start_file, start_policy
+from mjx_grasp.training.start import START, handoffs_wanted, start_file, start_policy
 
 _OPENING = ("config.json", "provenance.json")
 """Files that are written when a run is opened."""
@@ -95,7 +95,9 @@ def run_together(
     """
     first = configs[0]
     require_wandb(first.loop.wandb_project)
-    devices = find_devices(first.run_on, first.ppo.worlds, first.ppo.minibatches)
+    devices = find_devices(first.run_on)
+    if not first.fit_memory:
+        check_even(first.ppo.worlds, first.ppo.minibatches, devices)
     _check_alike(configs, devices)
     for config in configs:
         _check_shared_by_processes(config)
@@ -110,18 +112,20 @@ def run_together(
     fitting = _fit_worlds(first, scene, devices, len(configs))
     configs = [replace(config, ppo=fitting, fit_memory=False) for config in configs]
     world = None if stored is None else _build(scene, stored, first, console)
+    wanted = handoffs_wanted(first, folders[0])
+    shipped = shipped_for(wanted, scene.objects) if stored is None else None
     devices.wait("every process has looked at the folder")
     for config, folder, command in zip(
         configs, folders, commands or [None] * len(configs), strict=True
     ):
         if devices.writes and config.resume is None:
-            _open_run(config, folder, stored, command, extra_terms)
+            _open_run(config, folder, stored, shipped, command, extra_terms)
         elif devices.writes:
             _note_resumed(folder, provenance(config.seed, command))
     try:
         if stored is None or world is None:
             try:
-                stored = _made_handoffs(configs[0], robot, folders[0], console)
+                stored = _made_handoffs(wanted, shipped, robot, console)
             except MjxGraspError:
                 if first.resume is None:
                     _discard_run(folders[0])
@@ -366,19 +370,22 @@ def _open_run(
     config: TrainConfig,
     folder: Path,
     stored: HandoffSet | None,
+    shipped: Path | None,
     command: str | None,
     extra_terms: Sequence[RewardTerm],
 ) -> None:
     """Writes the configuration and the provenance of a new run to its folder."""
-    shipped = shipped_for(_handoffs_wanted(config, folder)) if stored is None else None
+    begun_with = start_file(config)
     files = {"handoffs": config.handoffs, "shipped_handoffs": shipped}
-    digests = file_digests(**files, start_from=start_file(config))
+    digests = file_digests(**files, start_from=begun_with)
+    if begun_with is not None:  # a later version of the package ships another
+        copy_file(begun_with, folder / START)
     made_of: dict[str, Any] = {"sha256": digests}
     made_of["extra_terms"] = [term.name for term in extra_terms]
     kind: str
     if stored is None:
         kind, wanted = config.handoffs_kind, config.handoffs_per_object
-        reached = _handoffs_wanted(config, folder).shares(wanted)[1] / wanted
+        reached = handoffs_wanted(config, folder).shares(wanted)[1] / wanted
     else:
         kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
@@ -399,45 +406,28 @@ def _note_resumed(folder: Path, made: dict[str, Any]) -> None:
 
 def _discard_run(folder: Path) -> None:
     """Takes back what `_open_run` wrote, for a run that cannot begin."""
-    for name in _OPENING:
+    for name in (*_OPENING, START):
         (folder / name).unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
 
 
 def _made_handoffs(
-    config: TrainConfig, robot: RobotSpec, folder: Path, console: Console
+    wanted: HandoffConfig, shipped: Path | None, robot: RobotSpec, console: Console
 ) -> HandoffSet:
     """The set in the run's folder; if it is not there yet, a copy of the shipped one, or made."""
-    path, wanted = folder / "handoffs.npz", _handoffs_wanted(config, folder)
+    path = wanted.out
     if path.exists():
         return load_handoffs(path, robot=robot)
-    shipped = shipped_for(wanted)
     if shipped is not None:
         console.print(f"start states: {shipped.name}, which ships with the package")
-        take_shipped(shipped, path)
+        copy_file(shipped, path)
     else:
         from mjx_grasp.handoff.make import make_handoffs
 
         console.print("making handoff states (give --handoffs to use a stored set)")
         make_handoffs(wanted, console)
     return load_handoffs(path, robot=robot)
-
-
-def _handoffs_wanted(config: TrainConfig, folder: Path) -> HandoffConfig:
-    """The set that a run makes where none is given."""
-    return HandoffConfig(
-        objects=config.objects,
-        objects_dir=config.objects_dir,
-        mass=config.mass,
-        density=config.density,
-        robot=config.robot,
-        per_object=config.handoffs_per_object,
-        kind=config.handoffs_kind,
-        gate=config.handoffs_gate,
-        seed=config.seed,
-        out=folder / "handoffs.npz",
-    )
 
 
 def _check_shared_by_processes(config: TrainConfig) -> None:

@@ -1,4 +1,4 @@
-"""The policy that a training begins with."""
+"""What a training begins with: start states and a policy."""
 
 from __future__ import annotations
 
@@ -7,16 +7,38 @@ from pathlib import Path
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.learning.controller import load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.training.config import TrainConfig
 
+START = "start.npz"
+"""The policy that a run began with, in its folder."""
+
+
+def handoffs_wanted(config: TrainConfig, folder: Path) -> HandoffConfig:
+    """The set of start states that is made in a run's folder where none is given or shipped."""
+    return HandoffConfig(
+        objects=config.objects,
+        objects_dir=config.objects_dir,
+        mass=config.mass,
+        density=config.density,
+        robot=config.robot,
+        per_object=config.handoffs_per_object,
+        kind=config.handoffs_kind,
+        gate=config.handoffs_gate,
+        seed=config.seed,
+        out=folder / "handoffs.npz",
+    )
+
 
 def start_file(config: TrainConfig) -> Path | None:
-    """Its file; None for a training that begins with nothing."""
+    """Its file, of a run that is resumed its own copy; None where it begins with nothing."""
     if config.start_from is None:
         return None
+    if config.resume is not None and (config.resume / START).is_file():
+        return config.resume / START
     return asset_path("policy.npz") if config.start_from == "shipped" else Path(config.start_from)
 
 

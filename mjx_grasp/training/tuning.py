@@ -290,7 +290,8 @@ def _check(config: TuneConfig, runs: Sequence[Run]) -> None:
     if not runs:
         return
     for group in _groups(config, runs):
-        if len(group) > 1 and not any(flag.startswith("--handoffs") for flag in group[0].flags):
+        named = [flag.partition("=")[0] for flag in group[0].flags]
+        if len(group) > 1 and "--handoffs" not in named:
             raise InputError("--together", f"{group[0].setting} without --handoffs", "start states")
     work = [list(run.flags) for run in runs], os.getcwd()
     if config.address is None:

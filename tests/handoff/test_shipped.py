@@ -2,83 +2,109 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
-from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
 from mjx_grasp.handoff import make
 from mjx_grasp.handoff import shipped as module
 from mjx_grasp.handoff.dataset import load_handoffs
-from mjx_grasp.handoff.report import read_report
 from mjx_grasp.handoff.shipped import SHIPPED, shipped_for
+from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import stand_in_hash
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import file_digests
 from mjx_grasp.training import job
 from mjx_grasp.training.config import settings_of
+from mjx_grasp.training.start import handoffs_wanted
+
+CUBE, STAND_INS, SCANS = (each.path for each in SHIPPED)
 
 
-@pytest.fixture(scope="module")
-def config():
+def stand_ins(config):
+    """As much of the objects as shows whose states would do."""
+    return [SimpleNamespace(name=n, content_hash=stand_in_hash(n)) for n in resolve(config.objects)]
+
+
+def shipped(config, objects=None):
+    return shipped_for(handoffs_wanted(config, Path()), objects or stand_ins(config))
+
+
+@pytest.fixture
+def cpu():
     return settings_of("cpu")
 
 
-def test_a_training_without_scans_begins_with_the_shipped_states_of_its_object(
-    config, robot, tmp_path, monkeypatch
+@pytest.mark.parametrize("preset, path", [("cpu", CUBE), ("gpu", STAND_INS)])
+def test_a_training_without_scans_begins_with_the_shipped_states_of_its_objects(
+    preset, path, robot, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(make, "make_handoffs", lambda *_: pytest.fail("they are there"))
-    states = job._made_handoffs(config, robot, tmp_path, Console(quiet=True))
-    assert states.counts() == {"rubiks_cube": config.handoffs_per_object}
-    assert states.reached.all() and config.handoffs_kind == "reached"
-    assert states.object_content_hash == (stand_in_hash("rubiks_cube"),), "of today's stand-in"
-    shipped = asset_path(SHIPPED)
-    assert (tmp_path / "handoffs.npz").read_bytes() == shipped.read_bytes()
-    assert read_report(tmp_path / "handoffs.json") == read_report(shipped.with_suffix(".json"))
-    assert load_handoffs(tmp_path / "handoffs.npz", robot=robot).counts() == states.counts()
+    config = settings_of(preset)
+    wanted = handoffs_wanted(config, tmp_path)
+    assert shipped(config) == path
+    states = job._made_handoffs(wanted, path, robot, Console(quiet=True))
+    assert states.reached.all() and wanted.kind == "reached"
+    counts = states.counts()
+    assert all(counts[name] >= wanted.per_object for name in resolve(config.objects))
+    assert (tmp_path / "handoffs.npz").read_bytes() == path.read_bytes()
 
 
-def test_a_run_says_by_their_digest_that_it_began_with_the_shipped_states(config, tmp_path):
-    def digests(config):
-        folder = tmp_path / str(config.seed)
+def test_scans_begin_with_states_of_the_very_same_scans(robot):
+    config = replace(settings_of("gpu"), objects_dir=Path("scans"))
+    stored = load_handoffs(SCANS, robot=robot)
+    there = dict(zip(stored.object_names, stored.object_content_hash, strict=True))
+    objects = [SimpleNamespace(name=n, content_hash=there[n]) for n in resolve(config.objects)]
+    assert shipped(config, objects) == SCANS
+    objects[-1].content_hash = "another"
+    assert shipped(config, objects) is None
+    assert shipped(replace(config, objects_dir=None), objects) is None
+
+
+@pytest.mark.parametrize("each", SHIPPED, ids=lambda each: each.file)
+def test_a_shipped_set_has_as_many_states_as_it_says_and_all_of_them_reached(each, robot):
+    stored = load_handoffs(each.path, robot=robot)
+    counts = [count for count in stored.counts().values() if count]
+    full = [count for count in counts if count >= each.per_object]
+    assert stored.reached.all() and len(full) >= 0.9 * len(counts)
+
+
+def test_a_run_says_by_their_digest_that_it_began_with_the_shipped_states(cpu, tmp_path):
+    def digests(file):
+        folder = tmp_path / str(file is None)
         folder.mkdir()
-        job._open_run(config, folder, None, None, ())
+        job._open_run(cpu, folder, None, file, None, ())
         return read_json(folder / "provenance.json", "provenance")["sha256"]
 
-    assert digests(config)["shipped_handoffs"] == file_digests(x=asset_path(SHIPPED))["x"]
-    assert "shipped_handoffs" not in digests(replace(config, seed=1))
+    assert digests(CUBE)["shipped_handoffs"] == file_digests(x=CUBE)["x"]
+    assert "shipped_handoffs" not in digests(None)
 
 
-@pytest.mark.parametrize("report", ["{", "{}"])
-def test_a_damaged_report_is_named_and_one_that_says_nothing_fits_nothing(
-    config, tmp_path, monkeypatch, report
-):
-    (tmp_path / SHIPPED).write_bytes(b"")
-    path = (tmp_path / SHIPPED).with_suffix(".json")
-    path.write_text(report)
+def test_a_damaged_set_is_named(cpu, tmp_path, monkeypatch):
+    (tmp_path / CUBE.name).write_bytes(b"damaged")
     monkeypatch.setattr(module, "asset_path", lambda name: tmp_path / name)
-    wanted = job._handoffs_wanted(config, tmp_path)
-    if report == "{}":
-        assert shipped_for(wanted) is None
-    else:
-        with pytest.raises(FileError, match=path.name):
-            shipped_for(wanted)
+    with pytest.raises(FileError, match=CUBE.name):
+        shipped(cpu)
+
+
+def test_the_seed_of_a_training_changes_nothing_about_shipped_states(cpu):
+    assert shipped(replace(cpu, seed=1)) == CUBE
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        {"seed": 1},
-        {"objects": ("rubiks_cube", "apple")},
-        {"handoffs_per_object": 128},
+        {"objects": ("rubiks_cube", "power_drill")},
+        {"handoffs_per_object": 512},
         {"handoffs_kind": "ik"},
         {"objects_dir": Path("scans")},
         {"mass": 0.2},
         {"handoffs_gate": "paper"},
     ],
 )
-def test_states_by_other_settings_are_made(config, robot, tmp_path, monkeypatch, other):
+def test_states_by_other_settings_are_made(cpu, robot, tmp_path, monkeypatch, other):
     class Made(Exception):
         """In place of what takes minutes."""
 
@@ -86,8 +112,10 @@ def test_states_by_other_settings_are_made(config, robot, tmp_path, monkeypatch,
         raise Made
 
     monkeypatch.setattr(make, "make_handoffs", made)
-    changed = replace(config, **other)
+    changed = replace(cpu, **other)
+    assert shipped(changed) is None
     with pytest.raises(Made):
-        job._made_handoffs(changed, robot, tmp_path, Console(quiet=True))
-    assert shipped_for(job._handoffs_wanted(changed, tmp_path)) is None
+        job._made_handoffs(
+            handoffs_wanted(changed, tmp_path), shipped(changed), robot, Console(quiet=True)
+        )
     assert not list(tmp_path.iterdir()), "nothing is written"

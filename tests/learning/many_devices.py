@@ -148,7 +148,7 @@ def processes(folder, coordinator, count, process, iterations):
     run_on = RunOn("auto", coordinator, count, process)
     join_hosts(run_on)
     config = tiny.ppo(iterations, worlds=8)
-    devices = find_devices(run_on, config.worlds, config.minibatches)
+    devices = find_devices(run_on)
     env = BraxTask(tiny.make_env(8 // devices.count).task, 8 // devices.count, True, devices)
     state = init_state(config, env, seed=3)
     kept = checkpoints(folder / "checkpoints")

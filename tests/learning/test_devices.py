@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from mjx_grasp.errors import InputError
 from mjx_grasp.learning import devices
 from mjx_grasp.learning.checkpoint import checkpoints
-from mjx_grasp.learning.devices import ONE_DEVICE, RunOn, find_devices, join_hosts
+from mjx_grasp.learning.devices import ONE_DEVICE, RunOn, check_even, find_devices, join_hosts
 
 SCRIPT = Path(__file__).parent / "many_devices.py"
 
@@ -194,24 +194,17 @@ def iterations_logged(folder):
 
 
 def test_one_device_is_the_default_on_a_cpu():
-    assert find_devices(RunOn(), 6, 3) == ONE_DEVICE and ONE_DEVICE.count == 1
+    assert find_devices(RunOn()) == ONE_DEVICE and ONE_DEVICE.count == 1
     assert ONE_DEVICE.writes and ONE_DEVICE.agreed(True, False) == (True, False)
 
 
-@pytest.mark.parametrize(
-    ("run_on", "worlds", "said"),
-    [
-        (
-            RunOn(devices=len(jax.devices()) + 1),
-            8,
-            r"--devices: found .*here\)', expected at most \d, or auto",
-        ),
-        (RunOn(devices=1), 9, r"--ppo\.worlds: found 9.*1 devices × 2 minibatches"),
-    ],
-)
-def test_devices_that_are_not_there_and_uneven_worlds_are_refused(run_on, worlds, said):
+def test_devices_that_are_not_there_and_uneven_worlds_are_refused():
+    said = r"--devices: found .*here\)', expected at most \d, or auto"
     with pytest.raises(InputError, match=said):
-        find_devices(run_on, worlds, 2)
+        find_devices(RunOn(devices=len(jax.devices()) + 1))
+    check_even(8, 2, ONE_DEVICE)
+    with pytest.raises(InputError, match=r"--ppo\.worlds: found 9.*1 devices × 2 minibatches"):
+        check_even(9, 2, ONE_DEVICE)
 
 
 def test_several_devices_keep_the_state_beside_the_next_unless_told_otherwise(monkeypatch):
@@ -219,10 +212,17 @@ def test_several_devices_keep_the_state_beside_the_next_unless_told_otherwise(mo
     monkeypatch.setattr(jax, "devices", lambda: 2 * here)
     monkeypatch.setattr(jax.config, "update", lambda *_: None)
     monkeypatch.setattr(devices, "Mesh", lambda *_: Mesh(np.array(here), (devices.AXIS,)))
-    assert not find_devices(RunOn(devices=2), 4, 2).donates
-    assert find_devices(RunOn(devices=2, donate=True), 4, 2).donates
-    assert find_devices(RunOn(devices=1), 4, 2).donates
-    assert not find_devices(RunOn(devices=1, donate=False), 4, 2).donates
+    assert not find_devices(RunOn(devices=2)).donates
+    assert find_devices(RunOn(devices=2, donate=True)).donates
+    assert find_devices(RunOn(devices=1)).donates
+    assert not find_devices(RunOn(devices=1, donate=False)).donates
+
+
+def test_no_process_is_stopped_while_the_first_one_evaluates(monkeypatch):
+    told = {}
+    monkeypatch.setattr(jax.distributed, "initialize", lambda *_, **more: told.update(more))
+    join_hosts(RunOn(coordinator="here:1234", processes=2, process=0))
+    assert told["shutdown_timeout_seconds"] >= 3600, "JAX would end all of them after minutes"
 
 
 def test_processes_without_a_meeting_place_are_refused():

@@ -32,5 +32,15 @@ def test_bounds_on_both_sides(scene):
         assert memory.worlds_that_fit(scene, ppo, 1) == minibatches
 
 
+@pytest.mark.parametrize("devices", [1, 2, 3, 5, 7])
+@pytest.mark.parametrize("gib", [1, 80])
+def test_worlds_are_even_whatever_the_devices(scene, devices, gib):
+    ppo = PPOConfig(worlds=8192, minibatches=16)
+    worlds = memory.worlds_that_fit(scene, ppo, gib * GIB, devices)
+    assert worlds % (devices * ppo.minibatches) == 0 and 0 < worlds <= ppo.worlds
+    if gib == 80:
+        assert worlds > ppo.worlds - devices * ppo.minibatches, "no more is given up than must be"
+
+
 def test_device_memory_is_plausible():
     assert 2**28 < memory.device_memory() < 2**42

@@ -252,6 +252,14 @@ def test_unfinished_checkpoints_are_not_taken_for_finished_ones(env, trained, tm
     same(restore_checkpoint(checkpoints(tmp_path)[-1], template, env)[0], trained[0][2])
 
 
+def test_what_a_kill_has_left_of_checkpoints_goes_with_the_next_one(env, trained, tmp_path):
+    for name in ("iteration_00000099", "iteration_00000098.orbax-checkpoint-tmp"):
+        (tmp_path / name / "learner").mkdir(parents=True)
+    (tmp_path / "notes").mkdir()
+    save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
+    assert {p.name for p in tmp_path.iterdir()} == {"iteration_00000001", "notes"}
+
+
 def data_files(path):
     """The files that hold a checkpoint's numbers."""
     return [f for f in path.rglob("*") if f.is_file() and f.parent.name == "d"]

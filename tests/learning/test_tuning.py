@@ -336,7 +336,7 @@ def test_seeds_that_are_trained_together_are_one_process(tmp_path, trainings, mo
 
 def test_seeds_together_need_start_states(tmp_path):
     path = tmp_path / "plan.yaml"
-    path.write_text("settings: {a: {preset: cpu}}\nseeds: [0, 1]")
+    path.write_text("settings: {a: {preset: cpu, handoffs-per-object: 8}}\nseeds: [0, 1]")
     with pytest.raises(InputError, match="--together: found 'a without --handoffs'"):
         tune(TuneConfig(path, tmp_path / "out", together=True), Console(quiet=True))
     assert not (tmp_path / "out").exists()

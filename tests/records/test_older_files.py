@@ -152,5 +152,5 @@ def test_what_is_read_can_be_written_anew(tmp_path):
 def test_the_shipped_files_are_read(robot):
     for name in ("handoffs_standins", "handoffs_reached"):
         assert len(load_handoffs(asset_path(f"{name}.npz"), robot=robot)) > 500
-    assert len(load_handoffs(asset_path(SHIPPED), robot=robot)) > 200
+    assert len(load_handoffs(SHIPPED[0].path, robot=robot)) > 200
     assert load_policy(asset_path("policy.npz")).robot.agrees(robot.identity)

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -92,7 +93,7 @@ def sweeping(constants, body, monkeypatch):
 
     def run_sweep(robot, settings, count, seed, ends, **_):
         slow = settings.reach.fields.slow_down
-        swept.append((count, seed, slow))
+        swept.append((count, seed, slow, settings.selection.targets.min_goal_height))
         record = empty_record(len(body.lower))
         record = type(record)(*(np.repeat(np.asarray(v)[None], count, 0) for v in record))
         record.last_table[0] = 0.0
@@ -134,8 +135,9 @@ def test_each_sweep_is_made_once_and_the_ablations_are_taken_over(
         out=tmp_path / "out.json", ablation=ablation, tuning_poses=4, poses=8, singles=1
     )
     constants.main(config)
-    tuned = [(4, 1, 0.1), (4, 1, 0.05), (4, 1, 0.2), (4, 1, 0.1)]
-    assert sweeping == [*tuned, (8, 20, 0.2)]
+    low = -math.inf
+    tuned = [(4, 1, 0.1, low), (4, 1, 0.05, low), (4, 1, 0.2, low), (4, 1, 0.1, 0.012)]
+    assert sweeping == [*tuned, (8, 20, 0.2, low)]
     d = json.loads(config.out.read_text())
     assert [r["changes"] for r in d["judged"]] == [{}, {SLOW: 0.2}]
     assert d["judged"][0] == {"changes": {}, **row}
@@ -146,7 +148,32 @@ def test_each_sweep_is_made_once_and_the_ablations_are_taken_over(
     assert "from 47.5 to 70.0 %" in text and "| fields.slow_down 0.2 | 0.1 | 70.0 | +10.0 |" in text
     write_json(ablation, known | {"poses": 9})
     constants.main(config)
-    assert sweeping[5:] == [*tuned, (8, 20, 0.1), (8, 20, 0.2)], "those are other poses"
+    assert sweeping[5:] == [*tuned, (8, 20, 0.1, low), (8, 20, 0.2, low)], "those are other poses"
+
+
+def test_a_killed_search_makes_no_sweep_again(
+    constants, sweeping, tmp_path, monkeypatch, committed
+):
+    config = constants.ConstantsConfig(
+        out=tmp_path / "out.json", ablation=tmp_path / "none.json", tuning_poses=4, poses=8
+    )
+    sweep, left = constants.run_sweep, 3
+
+    def killed(*given, **named):
+        nonlocal left
+        if left == 0:
+            raise KeyboardInterrupt
+        left -= 1
+        return sweep(*given, **named)
+
+    monkeypatch.setattr(constants, "run_sweep", killed)
+    with pytest.raises(KeyboardInterrupt):
+        constants.main(config)
+    assert len(sweeping) == 3 and not config.out.exists(), "only what is whole is a result"
+    left = 100
+    constants.main(config)
+    assert len(sweeping) == len(set(sweeping)) > 5
+    assert config.out.exists() and len(list(tmp_path.iterdir())) == 1
 
 
 def test_names_tell_constants_apart(tables):

@@ -33,7 +33,7 @@ from mjx_grasp.reaching.presets import PRESETS, ReachPreset, for_sweep
 from mjx_grasp.records.atomic import check_writable, read_json, write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
-from mjx_grasp.records.settings import CommandSettings, Count, Seed, to_record
+from mjx_grasp.records.settings import CommandSettings, Count, Seed, WholeNumber, to_record
 from mjx_grasp.robot.spec import RobotSpec, load_robot
 
 SCHEMA = "mjx_grasp.reach_constants/1"
@@ -53,14 +53,11 @@ OPEN: dict[str, tuple[Any, ...]] = {
     "reach.fields.path_clearance": (0.0,),
     "reach.fields.via_radius": (0.12,),
     "reach.fields.orientation_weight": (0.0003, 0.03),
-    "reach.fields.posture_weight": (0.0002,),
     "reach.solver.arm_effort": (0.005,),
     "reach.solver.hand_effort": (0.01,),
     "reach.solver.smoothness": (0.001,),
     "reach.solver.iterations": (200,),
     "selection.angle_weight": (0.3,),
-    "selection.score_weight": (0.5,),
-    "selection.span_weight": (0.0,),
     "selection.hysteresis": (0.3,),
     "robot.arm.home": (
         # The wrist turned by 45°.
@@ -69,6 +66,8 @@ OPEN: dict[str, tuple[Any, ...]] = {
 }
 """Values that are tried, by the path of a constant: none of them does the publication give, whose
 own are the standoffs, the wraps' spread, the timer's distance, and when a reach has converged."""
+_ASKED = ("out", "ablation", "together", "singles")
+"""Settings that say which sweeps there are, and nothing of how they come about."""
 _KEPT = ("rate_percent", "at_20mm_3s", "failures_percent", "handoff_mm", "limits", "seconds")
 
 
@@ -88,7 +87,7 @@ class ConstantsConfig(CommandSettings):
     """of their poses"""
     together: Count = 6
     """constants at most that are put together"""
-    singles: Count = 2
+    singles: WholeNumber = 1
     """best ones that are judged by themselves, too"""
 
 
@@ -243,8 +242,9 @@ def main(config: ConstantsConfig) -> None:
     """Sweeps what is not there yet, prints what was tried, writes the file."""
     check_writable("--out", config.out)
     made, console = provenance(config.seed), Console(stderr=True)
-    identity = {"schema": SCHEMA, "settings": to_record(config)}
-    journal = Journal(config.out, identity, made["git"])
+    settings = to_record(config)
+    swept = {name: of for name, of in settings.items() if name not in _ASKED}
+    journal = Journal(config.out, {"schema": SCHEMA, "settings": swept}, made["git"])
     sweeps = Sweeps(config, journal, console)
     singles = [{path: value} for path, values in OPEN.items() for value in values]
     with counting_progress(console) as bar:
@@ -259,15 +259,16 @@ def main(config: ConstantsConfig) -> None:
 
     together = put_together(singles, config.together, rate_of)
     best = sorted(singles, key=rate_of, reverse=True)[: config.singles]
-    asked = {name_of(changes): changes for changes in ({}, *best)}
-    asked.pop(name_of(together), None)
-    judged = [sweeps.whole(changes) for changes in (*asked.values(), together)]
-    content = identity | {
+    asked = {name_of(changes): changes for changes in (together, {}, *best)}
+    last, *judged = [sweeps.whole(changes) for changes in asked.values()]
+    content = {
+        "schema": SCHEMA,
+        "settings": settings,
         "tuning_seeds": TUNING_SEEDS,
         "paper": to_record({path: value_of(with_changes(load_robot(), {}), path) for path in OPEN}),
         "tried": tried,
         "combined": list(combined.values()),
-        "judged": judged,
+        "judged": [*judged, last],
         "provenance": made,
     }
     write_json(config.out, content)

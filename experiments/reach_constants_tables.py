@@ -100,13 +100,14 @@ def judged_table(d: Row) -> Table:
 
 def tried_table(d: Row) -> Table:
     """What each constant does by itself, and what those that help do together."""
-    header = ("", "paper", "20 mm, 3 s", "difference", "upright", "lying")
+    header = ("", "paper", "20 mm, 3 s", "difference", "upright", "lying", "10 mm, 3 s")
     start = rate(d["tried"][0])
     first, *singles = d["tried"]
     rows = []
     for row in (first, *sorted(singles, key=rate, reverse=True), *d["combined"]):
         changes = row["changes"]
         values = [row["at_20mm_3s"][how] for how in ("upright", "lying")]
+        values.append(row["rate_percent"]["10"]["3"])
         own = _shown(d["paper"][next(iter(changes))]) if len(changes) == 1 else ""
         shown = f"{rate(row):.1f}", f"{rate(row) - start:+.1f}", *(f"{v:.1f}" for v in values)
         rows.append((name_of(changes), own, *shown))

@@ -148,7 +148,7 @@ def test_each_sweep_is_made_once_and_the_ablations_are_taken_over(
     assert "from 47.5 to 70.0 %" in text and "| fields.slow_down 0.2 | 0.1 | 70.0 | +10.0 |" in text
     write_json(ablation, known | {"poses": 9})
     constants.main(config)
-    assert sweeping[5:] == [*tuned, (8, 20, 0.1, low), (8, 20, 0.2, low)], "those are other poses"
+    assert sweeping[5:] == [*tuned, (8, 20, 0.2, low), (8, 20, 0.1, low)], "those are other poses"
 
 
 def test_a_killed_search_makes_no_sweep_again(

@@ -114,6 +114,11 @@ def with_changes(robot: RobotSpec, changes: Changes) -> Reaching:
     return reaching
 
 
+def _as_record(changes: Changes) -> dict[str, Any]:
+    """Values by their paths as JSON, which knows no infinity."""
+    return {path: to_record(value) for path, value in changes.items()}
+
+
 def until_3_s(settings: ReachPreset) -> ReachPreset:
     """The ends of a sweep without what comes after 3 s of fine adjustment."""
     return for_sweep(settings, fine_timeout=3.02, timeout=6.0)
@@ -223,7 +228,7 @@ class Sweeps:
         )
         kept = {name: run.result[name] for name in _KEPT}
         kept |= shares(reaching.robot, reaching.reach.limits, run)
-        return {"changes": to_record(changes), **kept, "provenance": provenance(seed)}
+        return {"changes": _as_record(changes), **kept, "provenance": provenance(seed)}
 
     def _known(self, changes: Changes) -> dict[str, Any] | None:
         config, reaching = self._config, with_changes(self._robot, changes)
@@ -235,7 +240,7 @@ class Sweeps:
         if (stored["poses"], stored["provenance"]["seed"]) != asked:
             return None
         row = stored["rows"][same[0]]
-        return {"changes": to_record(changes), **row}
+        return {"changes": _as_record(changes), **row}
 
 
 def main(config: ConstantsConfig) -> None:
@@ -265,7 +270,9 @@ def main(config: ConstantsConfig) -> None:
         "schema": SCHEMA,
         "settings": settings,
         "tuning_seeds": TUNING_SEEDS,
-        "paper": to_record({path: value_of(with_changes(load_robot(), {}), path) for path in OPEN}),
+        "paper": _as_record(
+            {path: value_of(with_changes(load_robot(), {}), path) for path in OPEN}
+        ),
         "tried": tried,
         "combined": list(combined.values()),
         "judged": [*judged, last],

@@ -140,6 +140,7 @@ def test_each_sweep_is_made_once_and_the_ablations_are_taken_over(
     assert sweeping == [*tuned, (8, 20, 0.2, low)]
     d = json.loads(config.out.read_text())
     assert [r["changes"] for r in d["judged"]] == [{}, {SLOW: 0.2}]
+    assert d["paper"] == {SLOW: 0.1, HIGH: "-inf"}, "JSON knows no infinity"
     assert d["judged"][0] == {"changes": {}, **row}
     against = d["judged"][-1]["against_percent_of"]
     assert against["failed"]["table"] == 100.0 and against["converged"]["table"] == 0.0

@@ -20,6 +20,7 @@ import object_tables
 import paper_tables
 import pipeline_tables
 import policy_tables
+import reach_constants_tables
 import reach_tables
 import sensing_tables
 import sensitivity_tables
@@ -154,6 +155,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "steering-parts": steering_tables.parts(folder / "steering_numbers.json"),
             "steered-grasps": steering_tables.executed(folder / "steered_grasps.json"),
             "ablation": reach_tables.reach_ablation(folder / "reach_ablation.json"),
+            "reach-constants": reach_constants_tables.constants(folder / "reach_constants.json"),
             "limits": reach_tables.reach_limits(folder / "reach_sweep_cpu.json"),
             "qp": reach_tables.qp_speed(folder / "qp_cpu.json"),
             "reach-speed": reach_tables.reach_speed(

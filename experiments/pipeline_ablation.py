@@ -20,12 +20,13 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import tyro
 from pipeline_tables import FULL
 from rich.console import Console
+from variations import changed
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.cli import counting_progress, run_command
@@ -174,16 +175,6 @@ class PipelineAblationConfig(GraspsConfig, Spread):
     variants: Annotated[tuple[str, ...], Several()] = ("all",)
     """by name, or all of them"""
     scenarios: tuple[str, ...] = ("nominal", "moved_before_closing", "noisy_pose")
-
-
-S = TypeVar("S")
-
-
-def changed(settings: S, path: str, value: Any) -> S:
-    """Settings with another value in a field, or in a field of a field."""
-    name, _, rest = path.partition(".")
-    new: Any = settings
-    return replace(new, **{name: changed(getattr(new, name), rest, value) if rest else value})
 
 
 def chosen(names: Sequence[str]) -> list[str]:

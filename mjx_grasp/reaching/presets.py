@@ -116,18 +116,25 @@ def reach_preset(name: str) -> ReachPreset:
     return PRESETS[name]
 
 
-def for_sweep(settings: ReachPreset) -> ReachPreset:
+def for_sweep(
+    settings: ReachPreset, fine_timeout: float = 7.0, timeout: float = 15.0
+) -> ReachPreset:
     """No handoff and no cap: a reach ends when the fine timer is at 7 s, or after 15 s (§3).
 
     The controller's gate still tells when it would have handed off. There is no re-selection at the
     time-out, which would restart the timer; what looks ahead may change its plan earlier, while the
     timer runs on.
+
+    Args:
+        settings: Of the controller.
+        fine_timeout: Of the fine-adjustment timer, [s].
+        timeout: Of the whole reach, [s].
     """
     controller = replace(
         settings.reach.controller,
         hands_off=False,
-        fine_timeout=7.0,
-        timeout=15.0,
+        fine_timeout=fine_timeout,
+        timeout=timeout,
         reselect_late=False,
     )
     return replace(settings, reach=replace(settings.reach, controller=controller))

@@ -15,7 +15,13 @@ from typed import refusal
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach import run as module
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig, draw_poses
-from mjx_grasp.evaluation.reach.results import FAILURES, PAPER_RATE, classify, summary
+from mjx_grasp.evaluation.reach.results import (
+    FAILURES,
+    PAPER_RATE,
+    classify,
+    held_up_by,
+    summary,
+)
 from mjx_grasp.evaluation.reach.run import Reached, journal_of, run_sweep
 from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
@@ -88,6 +94,13 @@ def test_failures_are_classed(body):
     record.q[4, 2] = body.upper[2] - 0.05  # at a limit
     names = [FAILURES[k] if k >= 0 else None for k in classify(body, LimitConfig(), record, least)]
     assert names == [None, "unreachable", "slow", "collision", "limit", "local minimum"]
+    against = held_up_by(body, LimitConfig(), record)
+    assert {name: np.flatnonzero(by).tolist() for name, by in against.items()} == {
+        "joint limit": [4],
+        "object": [],
+        "table": [3],
+        "finger": [],
+    }
 
 
 def test_summary_is_json_with_what_the_tables_show(body):
@@ -137,6 +150,8 @@ def test_presets_add_one_thing_after_another():
     assert len({repr(p) for p in PRESETS.values()}) == len(PRESETS)
     ended = for_sweep(reach_preset("paper")).reach.controller
     assert (ended.fine_timeout, ended.timeout, ended.reselect_late) == (7.0, 15.0, False)
+    sooner = for_sweep(reach_preset("paper"), fine_timeout=3.0, timeout=6.0).reach.controller
+    assert sooner == replace(ended, fine_timeout=3.0, timeout=6.0)
     with pytest.raises(InputError, match="preset"):
         reach_preset("fast")
 

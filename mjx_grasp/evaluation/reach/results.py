@@ -65,13 +65,25 @@ def classify(
     if least_error is not None:
         unreachable = failed & (np.asarray(least_error) > tolerance)
     slow = np.isfinite(time)
-    touches = np.minimum(np.minimum(record.last_object, record.last_table), record.last_finger)
-    collision = touches < _TOUCHES
-    lower, upper = body.within(limits.clearances.joint_limits)
-    room = np.minimum(record.q - lower, upper - record.q) - _AT_LIMIT
-    limit = np.any(room < 0, axis=1)
+    limit, *touching = held_up_by(body, limits, record).values()
+    collision = np.any(touching, axis=0)
     classes = np.select([unreachable, slow, collision, limit], [0, 1, 3, 2], 4)
     return np.where(failed, classes, -1)
+
+
+def held_up_by(body: Body, limits: LimitConfig, record: ReachRecord) -> dict[str, np.ndarray]:
+    """Of each pose what the reach had come up against in the end; several may apply.
+
+    Args:
+        body: The robot.
+        limits: That the controller kept.
+        record: Of the sweep.
+    """
+    lower, upper = body.within(limits.clearances.joint_limits)
+    room = np.minimum(record.q - lower, upper - record.q) - _AT_LIMIT
+    last = {"object": record.last_object, "table": record.last_table, "finger": record.last_finger}
+    touching = {name: np.asarray(distance) < _TOUCHES for name, distance in last.items()}
+    return {"joint limit": np.any(room < 0, axis=1), **touching}
 
 
 def summary(

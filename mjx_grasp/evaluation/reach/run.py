@@ -170,6 +170,7 @@ def run_sweep(
     *,
     chunk: int | None = None,
     bound: bool = True,
+    ends: Callable[[ReachPreset], ReachPreset] = for_sweep,
     over: Spread | None = None,
     journal: Journal | None = None,
     console: Console | None = None,
@@ -178,11 +179,12 @@ def run_sweep(
 
     Args:
         robot: What reaches.
-        settings: Of the controller; a sweep's ends (:func:`for_sweep`) take the place of its own.
+        settings: Of the controller; a sweep's ends take the place of its own.
         count: Randomised cylinder poses.
         seed: Of the poses.
         chunk: Poses worked on at once; by default 128 on a CPU, all of them on an accelerator.
         bound: Also report the share of poses for which a solution exists at all.
+        ends: Gives the settings a sweep's ends.
         over: Who shares the poses; this process alone by default. Times are those of all together.
         journal: Where what is done is kept, poses worked on at once by poses; by default nowhere.
         console: Where progress is shown; nowhere if None.
@@ -190,7 +192,7 @@ def run_sweep(
     Raises:
         InputError: A robot that the controller or its plan cannot use.
     """
-    over, settings = over or Spread(), for_sweep(settings)
+    over, settings = over or Spread(), ends(settings)
     whole = over.alone and jax.default_backend() != "cpu"
     chunk = min(chunk or (count if whole else _ON_CPU), count)
     asked = Asked(robot, settings, count, seed, chunk, bound)

@@ -39,7 +39,7 @@ class VideoConfig(CommandSettings):
     """Renders a recorded trajectory, without a display, to a video, a GIF or one picture."""
 
     trajectory: Annotated[Path, tyro.conf.Positional]
-    """the trajectory (.npz), as a training leaves it in its folder"""
+    """the trajectory (.npz), as a training or a demo leaves it in its folder"""
     out: Annotated[Path, Suffix((".mp4", ".gif", ".png"))] = Path("grasp.mp4")
     """where to write: .mp4, .gif (looping, within --max-mb) or .png (the middle of the motion)"""
     width: Pixels = 640

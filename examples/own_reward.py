@@ -2,8 +2,9 @@
 
     python examples/own_reward.py FOLDER [ITERATIONS [WORLDS]]
 
-Trains on a stand-in of the Rubik's cube in native MuJoCo; two minutes with the default of 20
-iterations, too few to learn much. `FOLDER/metrics.csv` has a column `reward/gentle`.
+Goes on from the shipped policy, on a stand-in of the Rubik's cube in native MuJoCo; two minutes
+with the default of 20 iterations, too few to learn much. `FOLDER/metrics.csv` has a column
+`reward/gentle`.
 """
 
 import sys
@@ -27,7 +28,7 @@ def pressing(moment: Moment) -> Float[Array, "*b"]:
 
 
 def main(folder: Path, iterations: int = 20, worlds: int = 128) -> None:
-    """Trains with the published rewards and a price on pressing hard."""
+    """Trains with the rewards of the preset `cpu` and a price on pressing hard."""
     config = preset_config("cpu")
     config = replace(
         config,

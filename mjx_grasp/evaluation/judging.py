@@ -77,28 +77,27 @@ def same_starts(controllers: Sequence[Sequence[ResultRow]]) -> SameStarts:
     )
 
 
-def resampled(trials: SameStarts, seed: int = 0, resamples: int = RESAMPLES) -> Weights:
+def resampled(trials: SameStarts, resamples: int = RESAMPLES) -> Weights:
     """Weights of the trials as they were run, then with each object's start states drawn anew.
 
     Every object counts the same. Trials of one start state are drawn together.
 
     Args:
         trials: Whose starts.
-        seed: Of the draws.
         resamples: How many.
 
     Returns:
         Not to be written to: whoever asks for the same gets the same.
     """
     objects, starts = (ids.astype(np.int64).tobytes() for ids in (trials.object, trials.start))
-    return _resampled(objects, starts, seed, resamples)
+    return _resampled(objects, starts, resamples)
 
 
 @lru_cache(maxsize=4)
-def _resampled(objects: bytes, starts: bytes, seed: int, resamples: int) -> Weights:
+def _resampled(objects: bytes, starts: bytes, resamples: int) -> Weights:
     """As `resampled`, of the bytes of its arrays: most tables are of the same starts many times."""
     of, start = np.frombuffer(objects, np.int64), np.frombuffer(starts, np.int64)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = np.empty((resamples + 1, len(of)))
     kinds = np.unique(of)
     for k in kinds:

@@ -45,10 +45,8 @@ def _quantile(confidence: float) -> float:
     return float(stats.norm.ppf(0.5 + confidence / 2))
 
 
-def mean_rate_interval(
-    successes: Int[np.ndarray, " k"], n: Int[np.ndarray, " k"], confidence: float = 0.95
-) -> Interval:
-    """Interval of the unweighted mean of K independent success rates [%].
+def mean_rate_interval(successes: Int[np.ndarray, " k"], n: Int[np.ndarray, " k"]) -> Interval:
+    """95 % interval of the unweighted mean of K independent success rates [%].
 
     The Wilson limits of the rates are combined by recovered variances (Zou and Donner 2008): the
     distances of the limits from their rates add as squares. For K = 1 it is Wilson's interval.
@@ -59,7 +57,7 @@ def mean_rate_interval(
         raise InputError("successes and n", (successes.shape, n.shape), "two equal shapes [k]")
     rates = 100.0 * successes / n
     pairs = zip(successes, n, strict=True)
-    limits = np.array([wilson_interval(int(s), int(m), confidence) for s, m in pairs])
+    limits = np.array([wilson_interval(int(s), int(m)) for s, m in pairs])
     below, above = rates - limits[:, 0], limits[:, 1] - rates
     mean, k = rates.mean(), len(rates)
     return (

@@ -16,12 +16,15 @@ from mjx_grasp.geometry.mesh import is_closed
 from mjx_grasp.geometry.signed_distance import DistanceField
 from mjx_grasp.records.provenance import usable_cores
 
+BORDER_M = 0.03
+"""How far grids reach beyond their mesh [m]."""
+
 
 def distance_field(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     spacing: float = 0.0015,
-    border: float = 0.03,
+    border: float = BORDER_M,
 ) -> DistanceField:
     """Samples the signed distance to a mesh on a regular grid around it.
 
@@ -48,15 +51,15 @@ def distance_cube(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     points: int = 64,
-    border: float = 0.03,
 ) -> DistanceField:
     """The same on a cube of so many points, for all meshes alike: one compiled program serves all.
+
+    It reaches at least `BORDER_M` beyond the mesh.
 
     Args:
         vertices: In the object frame, [m].
         faces: Indices, wound so that normals point outwards.
         points: Along each edge; their spacing is as wide as the longest side of the mesh needs.
-        border: How far the grid reaches beyond the mesh at least, [m].
 
     Raises:
         InputError: No face with an area, or fewer than two points.
@@ -64,7 +67,7 @@ def distance_cube(
     if points < 2:
         raise InputError("points", points, "two or more")
     vertices = np.asarray(vertices, np.float64)
-    low, high = vertices.min(axis=0) - border, vertices.max(axis=0) + border
+    low, high = vertices.min(axis=0) - BORDER_M, vertices.max(axis=0) + BORDER_M
     size = float((high - low).max())
     shape = np.full(3, points)
     return _sampled(

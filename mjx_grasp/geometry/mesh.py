@@ -54,8 +54,6 @@ class PrincipalFrame(NamedTuple):
     axes: Float[np.ndarray, "3 3"]
     """unit principal axes as rows, the longest extent (least inertia) first; of equal extents the
     axis nearest to x, then y, then z first"""
-    closed: bool
-    """whether the mesh bounds a volume; of an open one the surface is taken"""
 
 
 def triangles_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Triangles:
@@ -199,14 +197,14 @@ def principal_frame_of(
     mass, k = (volumes, 4) if closed else (0.5 * np.sqrt(dot_rows(cross, cross)), 3)
     total = mass.sum()
     if not total > 0:
-        return PrincipalFrame(np.zeros(3), np.eye(3), closed)
+        return PrincipalFrame(np.zeros(3), np.eye(3))
     sums = a + b + c
     centre = sums @ mass / (k * total)
     points = np.concatenate([a, b, c, sums], axis=1)
     second = (np.tile(mass, 4) * points) @ points.T / (k * (k + 1) * total)
     moments, vectors = np.linalg.eigh(second - np.outer(centre, centre))
     axes = _settled(vectors.T[::-1], moments[::-1])
-    return PrincipalFrame(centre, axes, closed)
+    return PrincipalFrame(centre, axes)
 
 
 def _settled(axes: np.ndarray, moments: np.ndarray) -> np.ndarray:

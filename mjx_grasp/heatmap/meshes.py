@@ -45,7 +45,7 @@ class MeshConfig(CommandSettings):
     """A mesh in metres, the hand that is to grasp it, and where."""
 
     mesh: tyro.conf.Positional[Path]
-    """a mesh (.obj, .ply, .stl, .glb, .off; metres)"""
+    """the mesh [m]"""
     anchor: Point = None
     """point that grasps are steered to, in the frame of the mesh; none without one [m]"""
     steering: Steering = "contacts"

@@ -36,7 +36,6 @@ def anchor_at(
     pixel: Real[np.ndarray, " 2"],
     target: Target,
     limit: float = LIMIT_M,
-    tolerance: float = TOLERANCE_M,
 ) -> Anchor:
     """The anchor that a pixel of the target's view means.
 
@@ -51,7 +50,6 @@ def anchor_at(
             pixel is taken.
         target: The object with the view that the pixel belongs to.
         limit: How far beside the object the ray may pass [m].
-        tolerance: How far a measured point may be from the object's surface [m].
 
     Raises:
         GroundingError: There is no view, the pixel is outside the picture, something else is in
@@ -75,10 +73,10 @@ def anchor_at(
     depth = depth_at(view.depth, pixel)
     if depth is not None:
         measured = _in_object(view.camera.back_project(pixel, depth), view)
-        if distance_to_mesh(target, measured) <= tolerance:
+        if distance_to_mesh(target, measured) <= TOLERANCE_M:
             return Anchor(measured, f"{place}, depth {depth:.3f} m")
         # Beside the object, what is nearer may well be the table in front of it.
-        nearer = np.linalg.norm(measured - _in_object(origin, view)) < met.along - tolerance
+        nearer = np.linalg.norm(measured - _in_object(origin, view)) < met.along - TOLERANCE_M
         if met.beside == 0.0 and nearer:
             raise GroundingError(
                 instruction,

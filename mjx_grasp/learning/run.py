@@ -54,7 +54,7 @@ COLUMNS = (
 
 
 class TrainingDiverged(MjxGraspError):
-    """The loss or the parameters stopped being finite; the last good state is on disk."""
+    """What is learnt, or the loss, stopped being finite; the last good state is on disk."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def train_together(
     one writes and talks.
 
     Raises:
-        TrainingDiverged: A NaN in a training's loss or parameters. The state before it was
-            checkpointed, the one after it is in `diverged.npz`; the others are checkpointed after
-            it, so that they can go on without it.
+        TrainingDiverged: A NaN in a training's loss, parameters or normaliser. The state before
+            it was checkpointed, the one after it is in `diverged.npz`; the others are checkpointed
+            after it, so that they can go on without it.
         KeyboardInterrupt: Ctrl-C, after the iteration it came in was done and checkpointed.
     """
     devices, count = env.devices, len(members)
@@ -208,8 +208,12 @@ def _describe(
 
 
 def _diverged(row: dict[str, float], learnt: Any) -> bool:
-    """Whether the numbers of a training are no numbers; learnt: parameters and normaliser."""
-    leaves = jax.tree.leaves(learnt[0])
+    """Whether the numbers of a training are no numbers; learnt: parameters and normaliser.
+
+    The normaliser takes in a rollout after the updates: what breaks it shows in the loss of the
+    next iteration alone, when a checkpoint may hold it.
+    """
+    leaves = jax.tree.leaves(learnt)
     return not (np.isfinite(row["total_loss"]) and all(np.isfinite(x).all() for x in leaves))
 
 
@@ -231,7 +235,7 @@ def _stop(folder: Path, iteration: int, learnt: Any, writes: bool) -> NoReturn:
     kept = checkpoints(folder / "checkpoints")
     newest = kept[-1].name if kept else "none yet"
     raise TrainingDiverged(
-        f"{path}: the loss or a parameter is not finite at iteration {iteration}; "
+        f"{path}: the loss, a parameter or the normaliser is not finite at iteration {iteration}; "
         f"the newest checkpoint is {newest}: begin a new run with a lower --ppo.learning-rate "
         "(a resumed one does what this one did)"
     )

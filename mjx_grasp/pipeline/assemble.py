@@ -232,8 +232,6 @@ def check_graspable(name: str, best: float, hand: HandSpec, least: float = 0.0) 
 def steered_candidates(
     heatmap: Heatmap,
     score: Float[Array | np.ndarray, " v"],
-    count: int = STEERED_CANDIDATES,
-    at_least: int = STEERED_AT_LEAST[0],
     obj: ObjectModel | None = None,
 ) -> Candidates:
     """Those a steered grasp chooses among: the anchor's best, with `steered_scores`.
@@ -244,12 +242,10 @@ def steered_candidates(
     Args:
         heatmap: Of the object.
         score: Of its vertices, by an anchor.
-        count: How many.
-        at_least: See `steered_scores`.
         obj: The object, for further ones of its thin walls; none without it.
     """
     hanging = None if obj is None else _hanging(obj)
-    return _steered(*_filled(heatmap, score), hanging, count, at_least)
+    return _steered(*_filled(heatmap, score), hanging, STEERED_CANDIDATES, STEERED_AT_LEAST[0])
 
 
 class _Hanging(NamedTuple):

@@ -125,7 +125,6 @@ class Addresses:
     object_geoms: Int[np.ndarray, " piece"]
     palm_site: int
     pad_sites: Int[np.ndarray, " finger"]
-    tip_sites: Int[np.ndarray, " finger"]
     tip_force: Int[np.ndarray, "finger 4"]
     """in the sensor data: found, then the force along x, y, z"""
     finger_force: Int[np.ndarray, "finger 4"]
@@ -341,7 +340,6 @@ def _addresses(model: mujoco.MjModel, robot: RobotSpec) -> Addresses:
         object_geoms=int(body.geomadr[0]) + np.arange(int(body.geomnum[0])),
         palm_site=model.site(robot.hand.palm_site).id,
         pad_sites=np.array([model.site(f.pad_site).id for f in fingers]),
-        tip_sites=np.array([model.site(f.tip_site).id for f in fingers]),
         tip_force=np.stack([sensor(f"{f.name}_tip_force") for f in fingers]),
         finger_force=np.stack([sensor(f"{f.name}_force") for f in fingers]),
     )

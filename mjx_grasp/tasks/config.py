@@ -247,29 +247,28 @@ def check_range(settings: Settings, name: str) -> None:
         raise InputError(settings.name_of(name), (low, high), "the lower bound first")
 
 
-def task_from_record(record: Any, where: str = "task") -> ClosingTaskConfig:
+def task_from_record(record: Any) -> ClosingTaskConfig:
     """The task that a file describes, of today or of when all its numbers were one flat list.
 
     A record without `kind` is the closing task's.
 
     Args:
         record: Values of JSON.
-        where: What they are called in messages.
 
     Raises:
         InputError: An unknown field, an impossible value, or a flat list that is not whole.
     """
     if isinstance(record, Mapping) and not _ONLY_FLAT.isdisjoint(record):
-        record = _nested(record, where)
+        record = _nested(record)
     other = isinstance(record, Mapping) and "kind" in record
-    return from_record(EndToEndConfig if other else ClosingTaskConfig, record, where)
+    return from_record(EndToEndConfig if other else ClosingTaskConfig, record, "task")
 
 
-def _nested(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
     """The flat record of the first policies, sorted into today's parts."""
     for name in (*sorted(flat.keys() - _FLAT.keys()), *sorted(_FLAT.keys() - flat.keys())):
         expected = "all fields of the first version's task and no others"
-        raise InputError(f"{where}.{name}", flat.get(name, "nothing"), expected)
+        raise InputError(f"task.{name}", flat.get(name, "nothing"), expected)
     nested: dict[str, Any] = {}
     for name, value in flat.items():
         *parts, last = _FLAT[name].split(".")

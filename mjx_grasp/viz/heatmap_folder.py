@@ -11,6 +11,7 @@ from typing import Annotated, NamedTuple
 import jax
 import numpy as np
 import trimesh
+import tyro
 from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
@@ -39,6 +40,8 @@ _FARTHEST = 1.0  # an anchor farther from the mesh than its diagonal, times this
 class HeatmapsConfig(MeshConfig):
     """What to compute, of a mesh or a folder of meshes; results are in each mesh's own frame."""
 
+    mesh: tyro.conf.Positional[Path]
+    """a mesh (.obj, .ply, .stl, .glb, .off; metres), or a folder of meshes"""
     out: Path = Path("heatmaps")
     """folder of the results"""
     instruction: str | None = None

@@ -46,12 +46,11 @@ class LiveGrasp:
     Args:
         grasper: The controller.
         physics: Of a scene with all objects, in one thread.
-        seed: Of what plans try at random.
     """
 
-    def __init__(self, grasper: Grasper, physics: NativePhysics, seed: int = 0):
+    def __init__(self, grasper: Grasper, physics: NativePhysics):
         self.grasper, self.scene = grasper, physics.scene
-        self._physics, self._key = physics, jax.random.key(seed)
+        self._physics, self._key = physics, jax.random.key(0)
         self._home = np.asarray(grasper.reacher.body.home, np.float32)
         self._library: Library | None = None
         self._beside = ThreadPoolExecutor(1)

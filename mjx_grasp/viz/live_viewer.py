@@ -65,7 +65,6 @@ class LiveViewer:
         settings: What is shown first.
         host: Address to serve on.
         port: Port to serve on; the next free one if it is taken.
-        seed: Of where objects are put.
 
     Raises:
         InputError: The extra is not installed.
@@ -79,9 +78,9 @@ class LiveViewer:
         load: Callable[[Path], ObjectModel] | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
-        seed: int = 0,
     ):
-        self.live, self._heatmap, self._load, self._seed = live, heatmap, load, seed
+        self.live, self._heatmap, self._load = live, heatmap, load
+        self._seed = 0  # of where objects are put
         self._objects = {obj.name: obj for obj in live.scene.objects}
         self._subjects: dict[str, Subject] = {}
         self._name = next(iter(self._objects))

@@ -22,6 +22,7 @@ from mjx_grasp.records.settings import CommandSettings, Positive, Range, Suffix
 
 BACKENDS = ("egl", "osmesa")
 _RENDERING_FAILED = 3  # exit status of the child when it is the renderer that fails
+_TIMEOUT_S = 600.0  # that one backend may take
 Pixels = Annotated[int, Range(16, 4096)]
 INSTALL = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri (EGL), "
@@ -38,7 +39,7 @@ class VideoConfig(CommandSettings):
     """Renders a recorded trajectory, without a display, to a video, a GIF or one picture."""
 
     trajectory: Annotated[Path, tyro.conf.Positional]
-    """the trajectory (.npz), as a training leaves it in its folder"""
+    """the trajectory (.npz), as a training or a demo leaves it in its folder"""
     out: Annotated[Path, Suffix((".mp4", ".gif", ".png"))] = Path("grasp.mp4")
     """where to write: .mp4, .gif (looping, within --max-mb) or .png (the middle of the motion)"""
     width: Pixels = 640
@@ -53,12 +54,11 @@ class VideoConfig(CommandSettings):
     """largest size of a GIF; size and frame rate are lowered until it fits [MB]"""
 
 
-def render_in_subprocess(config: VideoConfig, timeout_s: float = 600.0) -> None:
+def render_in_subprocess(config: VideoConfig) -> None:
     """Renders with the first backend that works, each tried in a process of its own.
 
     Args:
         config: What to render and where to.
-        timeout_s: Longest time that one backend may take [s].
 
     Raises:
         FileError: The trajectory cannot be read.
@@ -67,7 +67,7 @@ def render_in_subprocess(config: VideoConfig, timeout_s: float = 600.0) -> None:
     load_trajectory(config.trajectory)
     failures = []
     for backend in BACKENDS:
-        reason = _try_backend(config, backend, timeout_s)
+        reason = _try_backend(config, backend)
         if reason is None:
             return
         failures.append(f"{backend}: {reason}")
@@ -77,7 +77,7 @@ def render_in_subprocess(config: VideoConfig, timeout_s: float = 600.0) -> None:
     )
 
 
-def _try_backend(config: VideoConfig, backend: str, timeout_s: float) -> str | None:
+def _try_backend(config: VideoConfig, backend: str) -> str | None:
     """None on success, the reason where the backend does not work here."""
     command = [sys.executable, "-m", "mjx_grasp.viz.video", str(config.trajectory)]
     for name in ("out", "width", "height", "fps", "speed", "max_mb"):
@@ -85,10 +85,10 @@ def _try_backend(config: VideoConfig, backend: str, timeout_s: float) -> str | N
     environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
     try:
         done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=timeout_s
+            command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S
         )
     except subprocess.TimeoutExpired:
-        raise RenderError(f"{config.trajectory}: rendering took over {timeout_s:.0f} s") from None
+        raise RenderError(f"{config.trajectory}: rendering took over {_TIMEOUT_S:.0f} s") from None
     if done.returncode == 0:
         return None
     lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]

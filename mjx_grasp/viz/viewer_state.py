@@ -55,8 +55,6 @@ class Shown:
     colours: UInt8[np.ndarray, "v 3"]
     triples: Triples
     """the best first; see ``valid`` for those that exist"""
-    top: float
-    """the score of the yellow end [-]"""
 
     @property
     def best(self) -> float:
@@ -93,7 +91,7 @@ def show(heatmap: Heatmap, settings: ViewerSettings, min_distance: float = 0.02)
     top = best if settings.to_best and best > 0 else 1.0
     shown = np.where(np.asarray(heatmap.valid), values, np.nan)
     triples: Triples = jax.tree.map(np.asarray, drawn)
-    return Shown(values, score_colours(shown, top), triples, top)
+    return Shown(values, score_colours(shown, top), triples)
 
 
 def _millimetres(point: ArrayLike) -> str:

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import numpy as np
 import trimesh
+import tyro
 from rich.console import Console
 
 from mjx_grasp.errors import InputError
@@ -42,6 +43,9 @@ from mjx_grasp.viz.viewer_state import TripleCount, ViewerSettings
 class ViewConfig(MeshConfig):
     """What to show: of a mesh or of the .npz of a heatmap, with an anchor to drag."""
 
+    mesh: tyro.conf.Positional[Path]
+    """a mesh (.obj, .ply, .stl, .glb, .off; metres) or the .npz of a heatmap; with --live a mesh, a
+    folder of meshes, or a name or group of the catalogue"""
     triples: TripleCount = 3
     """how many of the best grasp triples to draw [-]"""
     host: str = "127.0.0.1"
@@ -49,9 +53,8 @@ class ViewConfig(MeshConfig):
     port: Annotated[int, Range(1, 65535)] = 8080
     """port to serve on; the next free one if it is taken"""
     live: bool = False
-    """whether a simulated robot is there that grasps the object at the press of a button; what is
-    shown may then be an object of the catalogue too, and an anchor is relative to the middle of its
-    bounding box"""
+    """whether a simulated robot is there that grasps the object at the press of a button; an anchor
+    is then relative to the middle of its bounding box"""
     also: tuple[str, ...] = ()
     """more objects to choose from on the live page: names and groups of the catalogue, meshes and
     folders of meshes"""

@@ -235,6 +235,16 @@ def test_split_parts_every_object_and_depends_on_the_seed_alone():
         handoffs.split(1.0, 0)
 
 
+@pytest.mark.parametrize("share", [0.001, 0.999])
+def test_several_states_are_never_all_on_one_side(share):
+    handoffs = some(20).select(["box", "can"])
+    training, evaluation = handoffs.split(share)
+    least, other = (training, evaluation) if share > 0.5 else (evaluation, training)
+    assert least.counts() == {"box": 1, "can": 1} and len(other) == 18
+    alone = handoffs.take(np.array([0])).split(share)
+    assert [len(part) for part in alone] == [round(1 - share), round(share)]
+
+
 def test_a_mixture_is_split_into_mixtures():
     mixed = merge([some(40, 0), some(120, 1, kind="reached")])
     for name in ("box", "can"):

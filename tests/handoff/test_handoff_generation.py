@@ -89,7 +89,7 @@ def test_tips_are_at_their_standoffs_by_native_mujoco(generated, brick):
         data.qpos[scene.addresses.object_qpos[:3]] = handoffs.object_pos[k]
         data.qpos[scene.addresses.object_qpos[3:]] = handoffs.object_quat[k]
         mujoco.mj_forward(scene.model, data)
-        tips = data.site_xpos[scene.addresses.tip_sites]
+        tips = np.array([data.site(finger.tip_site).xpos for finger in robot.hand.fingers])
         goal = handoffs.target_pos[k] + distance * handoffs.target_normal[k]
         error = np.linalg.norm(tips - goal, axis=1)
         assert error.max() <= 0.005

@@ -3,6 +3,7 @@
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import handmade
 import numpy as np
@@ -18,6 +19,7 @@ from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.evaluation.verdict import verdict
 from mjx_grasp.learning.controller import deployed_task
+from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.config import ClosingTaskConfig, RewardConfig, StartNoise
@@ -104,6 +106,20 @@ def test_the_policy_that_a_training_began_with_is_evaluated_beside_it(
     way = "100.0 → 100.0 % at 2.5 N"
     assert f"Training did not change success beyond its 95 % interval ({way}, {way}); at" in said
     assert said in " ".join(console.export_text().split())
+
+
+@pytest.mark.parametrize(("lifted", "shown"), [((), 0), ((5,), 5), ((3, 6), 3)])
+def test_the_episode_that_is_shown_is_a_successful_one_if_there_is_any(
+    monkeypatch, scene, starts, lifted, shown
+):
+    trials = SimpleNamespace(success=np.isin(np.arange(8), lifted))
+    of_episode = np.broadcast_to(np.arange(8.0)[:, None], (2, 8, scene.model.nq))
+    monkeypatch.setattr(World, "task", lambda *_, **__: None)
+    monkeypatch.setattr(after, "record_trials", lambda *_: (trials, of_episode))
+    policy = load_policy(asset_path("policy.npz"))
+    world = World(scene, starts)
+    found = after.best_grasp(world, scene.object_names[0], policy, StartNoise(), seed=0)
+    np.testing.assert_array_equal(found.qpos, np.full((2, scene.model.nq), float(shown)))
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,18 @@ def test_onnx_numpy_and_jax_agree(session):
     np.testing.assert_allclose(NumpyPolicy.load(SHIPPED)(obs), expected, atol=1e-5)
 
 
+def test_the_extremes_are_among_what_both_are_asked():
+    """Each number alone far above and below its mean, all of them at once, and the mean."""
+    policy = load_policy(SHIPPED)
+    steps = (trial_observations(policy) - policy.mean) / policy.std
+    size, far = policy.observation_size, np.abs(np.abs(steps) - 10.0) < 0.01
+    alone = np.round(steps[(far.sum(axis=1) == 1) & (np.abs(steps).sum(axis=1) < 10.1)])
+    found = {(int(np.abs(row).argmax()), row.sum()) for row in alone}
+    assert found == {(k, sign * 10.0) for k in range(size) for sign in (1, -1)}
+    assert len(np.unique(np.sign(steps[far.all(axis=1)]), axis=0)) > 1
+    assert (np.abs(steps) < 0.01).all(axis=1).any()
+
+
 def test_a_batch_of_any_size_answers_as_each_of_it_does(session):
     obs = trial_observations(load_policy(SHIPPED))[:7]
     singly = np.concatenate([ask(session, single[None]) for single in obs])

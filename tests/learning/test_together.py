@@ -115,6 +115,23 @@ def test_what_cannot_go_on_in_step_is_refused(tmp_path, monkeypatch, change, say
     assert not list(tmp_path.iterdir())
 
 
+class Asked(Exception):
+    """For how many bytes worlds were to fit."""
+
+
+@pytest.mark.parametrize("together", [1, 2])
+def test_trainings_in_step_share_the_devices_memory(tmp_path, monkeypatch, together):
+    def asked(scene, ppo, memory_bytes, devices):
+        raise Asked(memory_bytes)
+
+    monkeypatch.setattr(job, "device_memory", lambda: 10**10)
+    monkeypatch.setattr(job, "worlds_that_fit", asked)
+    some = [dataclasses.replace(config, fit_memory=True) for config in configs(tmp_path)]
+    with pytest.raises(Asked) as room:
+        job.run_together(some[:together], Console(quiet=True))
+    assert room.value.args == (10**10 // together,)
+
+
 def test_trainings_that_stand_at_different_iterations_are_refused(tmp_path, monkeypatch):
     first, second = (
         dataclasses.replace(c, resume=tmp_path / str(k)) for k, c in enumerate(configs(tmp_path))

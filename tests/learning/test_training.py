@@ -367,6 +367,17 @@ def counting(monkeypatch, env, trained):
     return jax.tree.map(jnp.copy, trained[0][0])
 
 
+def test_a_normaliser_that_is_none_reaches_no_checkpoint(env, counting, tmp_path):
+    """Loss and parameters are what they should be: they were worked out before it broke."""
+    statistics = counting.normalizer
+    mean = jax.tree.map(lambda x: x.at[0].set(jnp.nan), statistics.mean)
+    broken = counting._replace(normalizer=statistics.replace(mean=mean))
+    with pytest.raises(TrainingDiverged, match="normaliser is not finite at iteration 1"):
+        loop = LoopConfig(checkpoint_every=1)
+        tiny.train_loop(tmp_path, broken, env, tiny.ppo(3), loop, tiny.CONFIG)
+    assert not checkpoints(tmp_path / "checkpoints")
+
+
 def test_an_interrupted_training_keeps_the_iteration_it_was_in(
     env, trained, counting, tmp_path, monkeypatch
 ):

@@ -104,6 +104,14 @@ def test_the_shipped_policy_fits_the_presets_that_feel(robot):
     assert start_policy(nothing, robot) is None and start_file(nothing) is None
 
 
+@pytest.mark.parametrize("preset", ["cpu", "gpu", "paper", "end-to-end"])
+def test_a_preset_that_begins_with_a_policy_lets_the_critic_learn_first(preset):
+    """A policy's file has no critic: what one that knows nothing says would undo the actor."""
+    config = settings_of(preset)
+    alone = round(config.ppo.critic_first * config.ppo.iterations)
+    assert (alone > 0) == (config.start_from is not None)
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [

@@ -1,5 +1,7 @@
 """Loading objects: the cache, the content hash, and scans in the place of stand-ins."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,6 +9,7 @@ import trimesh
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.objects import model
 from mjx_grasp.objects.catalogue import load_catalogue
+from mjx_grasp.objects.convex import ConvexConfig
 from mjx_grasp.objects.model import load_object, load_objects
 
 EXTENTS = (0.075, 0.05, 0.052)
@@ -91,9 +94,15 @@ def test_a_damaged_entry_is_made_again(scans, cache, derivations, damage):
     assert len(derivations) == 2  # the entry was put right
 
 
-def test_other_settings_use_another_entry(scans, cache, derivations, monkeypatch):
+@pytest.mark.parametrize(
+    "change",
+    [{"_CACHE_FORMAT": -1}, {"ConvexConfig": partial(ConvexConfig, max_vertices=32)}],
+    ids=lambda change: next(iter(change)),
+)
+def test_other_settings_use_another_entry(scans, cache, derivations, monkeypatch, change):
     load_object("foam_brick", scans, cache)
-    monkeypatch.setattr(model, "_CACHE_FORMAT", -1)
+    for name, value in change.items():
+        monkeypatch.setattr(model, name, value)
     load_object("foam_brick", scans, cache)
     assert len(derivations) == 2 and len(list(cache.iterdir())) == 2
 

@@ -121,6 +121,13 @@ def test_a_face_beside_the_centre_of_mass_topples_to_its_neighbour():
     assert sum(pose.probability for pose in poses) == pytest.approx(1.0, abs=0.1)
 
 
+def test_what_stands_firmly_nowhere_rests_where_it_is_firmest():
+    half = np.array([0.4, 0.9, 0.8]) * RestingConfig().min_margin
+    poses = resting_poses((sharp_box(half),), np.zeros(3))
+    assert {tuple(np.abs(np.round(down(pose)))) for pose in poses} == {(1.0, 0.0, 0.0)}
+    assert sum(pose.probability for pose in poses) == pytest.approx(1.0)
+
+
 def test_a_low_centre_of_mass_makes_standing_more_probable():
     standing = []
     for offset in (0.0, -0.02):

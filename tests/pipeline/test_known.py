@@ -15,6 +15,7 @@ from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.meshes import heatmap_of_mesh
 from mjx_grasp.objects.model import load_objects
+from mjx_grasp.pipeline import assemble
 from mjx_grasp.pipeline.assemble import (
     CANDIDATES,
     LEVERED,
@@ -124,13 +125,15 @@ class _Seen(NamedTuple):
 
 
 @pytest.mark.wrong_types
-def test_most_of_a_steered_grasps_candidates_are_the_anchors_best():
+def test_most_of_a_steered_grasps_candidates_are_the_anchors_best(monkeypatch):
+    monkeypatch.setattr(assemble, "STEERED_CANDIDATES", 16)
+    monkeypatch.setattr(assemble, "STEERED_AT_LEAST", (1,))
     n, some = 40, jnp.arange(40)
     points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
     wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))
     own = jnp.linspace(0.1, 1.0, n)  # the anchor is at the other end
     heatmap = _Seen(points, points, wrap, wrap, points, jnp.ones(n), own, some != 39)
-    found = steered_candidates(heatmap, own[::-1] ** 40, 16, at_least=1)
+    found = steered_candidates(heatmap, own[::-1] ** 40)
     chosen = np.asarray(found.thumb[:, 0]).astype(int)
     assert chosen.tolist() == [*range(12), *range(38, 34, -1)] and np.all(found.valid)
     assert found.score[0] == 1 and np.all(np.diff(found.score[:12]) < 0)

@@ -33,6 +33,11 @@ def posed(scene, q, position):
     return data
 
 
+def tip_at(scene, q, finger):
+    """Where a fingertip is [m]."""
+    return posed(scene, q, AWAY).site(scene.robot.hand.fingers[finger].tip_site).xpos
+
+
 def test_home_with_the_object_at_rest_is_clear(scene, checker):
     rest = scene.objects[0].resting[0]
     assert checker.reason(home(scene), np.array([0.5, -0.2, rest.height]), rest.quat) is None
@@ -43,7 +48,7 @@ def test_home_with_the_object_at_rest_is_clear(scene, checker):
 
 @pytest.mark.parametrize("finger", [0, 1, 2])
 def test_an_object_planted_at_a_fingertip_is_found(scene, checker, finger):
-    tip = posed(scene, home(scene), AWAY).site_xpos[scene.addresses.tip_sites[finger]]
+    tip = tip_at(scene, home(scene), finger)
     assert checker.reason(home(scene), tip, UPRIGHT) == "hand-object"
     assert checker.reason(home(scene), AWAY, UPRIGHT) is None
 
@@ -143,7 +148,7 @@ def test_a_hand_in_the_arm_is_found_which_the_physics_does_not_mind(scene, check
 def test_the_first_of_several_reasons_is_told_and_the_scene_is_untouched(scene, checker):
     before = scene.model.geom_conaffinity.copy()
     q = hand_in_the_table(scene)
-    tip = posed(scene, q, AWAY).site_xpos[scene.addresses.tip_sites[0]]
+    tip = tip_at(scene, q, 0)
     assert checker.reason(q, tip, UPRIGHT) == REASONS[0] == "hand-object"
     again = CollisionChecker(scene)
     assert again.reason(q, tip, UPRIGHT) == "hand-object"

@@ -119,9 +119,9 @@ def test_a_backend_that_fails_is_followed_by_the_next(stored, tmp_path, monkeypa
     tried = []
     real = rendering._try_backend
 
-    def first_fails(config, backend, timeout_s):
+    def first_fails(config, backend):
         tried.append(backend)
-        return "broken" if len(tried) == 1 else real(config, "egl", timeout_s)
+        return "broken" if len(tried) == 1 else real(config, "egl")
 
     monkeypatch.setattr(rendering, "_try_backend", first_fails)
     render_in_subprocess(VideoConfig(stored, tmp_path / "next.png", width=32, height=32, fps=2))

@@ -36,6 +36,7 @@ FAILURES = ("unreachable", "slow", "limit", "collision", "local minimum")
 """Why a reach did not converge within 20 mm and 3 s; the first that applies."""
 _TOLERANCE, _BUDGET = 2, 3  # 20 mm and 3 s, of TOLERANCES and BUDGETS
 _TOUCHES, _AT_LIMIT = 0.002, 0.01
+_FEW = 5  # of the poses that come nearest
 _SLACK = 1e-4
 # Distances that differ by less are equal, [m].
 _ROUNDING = 1e-6
@@ -235,11 +236,11 @@ def _millimetres(length: float | np.floating) -> float:
     return round(1e3 * float(length), 3)
 
 
-def _nearest(record: ReachRecord, limits: LimitConfig, count: int = 5) -> dict[str, float]:
+def _nearest(record: ReachRecord, limits: LimitConfig) -> dict[str, float]:
     """Of the poses that started at a safe distance those that came nearest, [mm]."""
     safe = np.flatnonzero(np.asarray(record.start_distance) >= limits.clearances.object)
     distance = np.asarray(record.object_distance)[safe]
-    order = np.argsort(distance, kind="stable")[:count]
+    order = np.argsort(distance, kind="stable")[:_FEW]
     return {str(safe[k]): _millimetres(distance[k]) for k in order}
 
 

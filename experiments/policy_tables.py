@@ -6,8 +6,9 @@ how that one was trained.
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -394,6 +395,8 @@ def ablation(path: Path) -> str:
     return f"{said}\n\n{markdown(Table('Ablation', header, tuple(lines), names=1))}"
 
 
+_MANY = 3
+"""changes that are not said once more where another setting has them all"""
 _PAPER = (
     "Trainings of the preset `paper` in steps of 5 ms, {seeds} seeds of {steps:.1f} M steps each, "
     "that differ from it in what the first column says. Each policy lifts the eight in native "
@@ -414,11 +417,14 @@ def paper_ablation(path: Path) -> str:
     settings: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         settings.setdefault(row["run"].rsplit("-seed", 1)[0], []).append(row)
-    common = set.intersection(*({*map(str, row["changes"].items())} for row in rows))
+    preset = _changes(settings["reference"][0])
+    changes = {
+        name: [change for change in _changes(of[0]) if change not in preset]
+        for name, of in settings.items()
+    }
     lines = []
-    for name, of in sorted(settings.items(), key=lambda setting: setting[0] != "reference"):
-        own = {k: v for k, v in of[0]["changes"].items() if str((k, v)) not in common}
-        words = ", ".join(f"`{setting}` {_said(value)}" for setting, value in own.items())
+    for name in sorted(settings, key=lambda name: (len(changes[name]), name)):
+        of, words = settings[name], _in_words(name, changes)
         cells = []
         for condition in conditions:
             found = [e for row in of for e in row["evaluations"] if e["condition"] == condition]
@@ -443,6 +449,23 @@ def paper_ablation(path: Path) -> str:
     )
     header = ("setting", *conditions, "squeezes in the same task, nominal")
     return f"{said}\n\n{markdown(Table('Ablation', header, tuple(lines)))}"
+
+
+def _changes(row: dict[str, Any]) -> list[str]:
+    """In words each setting in which a training differs from its preset, its start states too."""
+    states = re.findall(r"--handoffs[ =](\S+)", row["trained"]["command"])
+    changes = {"handoffs": f"`{states[0]}`"} if states else {}
+    return [f"`{name}` {_said(value)}" for name, value in (changes | row["changes"]).items()]
+
+
+def _in_words(name: str, changes: Mapping[str, Sequence[str]]) -> str:
+    """What a setting changes, beside all that another one does which is worth naming."""
+    own = changes[name]
+    within = [k for k, of in changes.items() if _MANY < len(of) < len(own) and {*of} < {*own}]
+    if not within:
+        return ", ".join(own)
+    base = max(within, key=lambda k: len(changes[k]))
+    return ", ".join([f"as `{base}`", *(change for change in own if change not in changes[base])])
 
 
 def _differs(row: dict[str, Any]) -> dict[str, Any]:

@@ -129,11 +129,12 @@ def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monk
     monkeypatch.syspath_prepend(ROOT / "experiments")
     table = script("policy_tables").paper_ablation
 
-    def row(name, seed, nominal, changes):
+    def row(name, seed, nominal, changes, states="own.npz"):
         judged = {"trials": 8, "force_mean_n": 2.0 + seed}
         return {
             "run": f"{name}-seed{seed}",
             "seed": seed,
+            "trained": {"command": f"train --handoffs {states} --seed {seed}"},
             "env_steps": 30_801_920,
             "changes": {"engine": "mjx", "scene.physics_dt": 0.005} | changes,
             "evaluations": [
@@ -158,6 +159,13 @@ def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monk
     assert reference.endswith("| 62.5 at 2.0 of 3 |")
     words = "`task.lift.delay_s` 0.5, `task.action.residual` leaky"
     assert lift.startswith(f"| `lift`: {words} | 93.8 (100, 88) at 2.5 |")
+    much = {f"ppo.{k}": k for k in range(4)}
+    further = [row("much", s, 50.0, much) for s in (0, 1)]
+    further += [row("more", s, 50.0, much | {"seen": "all"}, "near.npz") for s in (0, 1)]
+    path.write_text(json.dumps({"rows": [*further, *rows]}))
+    *_, much, more = table(path).splitlines()
+    assert much.startswith("| `much`: `ppo.0` 0, `ppo.1` 1, `ppo.2` 2, `ppo.3` 3 |")
+    assert more.startswith("| `more`: as `much`, `handoffs` `near.npz`, `seen` all |")
     path.write_text(json.dumps({"rows": rows[:3]}))
     with pytest.raises(FileError, match="as many seeds of each"):
         table(path)

@@ -6,7 +6,6 @@ how that one was trained.
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -417,11 +416,7 @@ def paper_ablation(path: Path) -> str:
     settings: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         settings.setdefault(row["run"].rsplit("-seed", 1)[0], []).append(row)
-    preset = _changes(settings["reference"][0])
-    changes = {
-        name: [change for change in _changes(of[0]) if change not in preset]
-        for name, of in settings.items()
-    }
+    changes = {name: _changes(of[0], settings["reference"][0]) for name, of in settings.items()}
     lines = []
     for name in sorted(settings, key=lambda name: (len(changes[name]), name)):
         of, words = settings[name], _in_words(name, changes)
@@ -451,11 +446,16 @@ def paper_ablation(path: Path) -> str:
     return f"{said}\n\n{markdown(Table('Ablation', header, tuple(lines)))}"
 
 
-def _changes(row: dict[str, Any]) -> list[str]:
-    """In words each setting in which a training differs from its preset, its start states too."""
-    states = re.findall(r"--handoffs[ =](\S+)", row["trained"]["command"])
-    changes = {"handoffs": f"`{states[0]}`"} if states else {}
-    return [f"`{name}` {_said(value)}" for name, value in (changes | row["changes"]).items()]
+def _changes(row: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    """In words each setting in which a training differs from another one, start states too."""
+    mine, theirs = (each["trained"] for each in (row, other))
+    changes = {}
+    if mine["sha256"] != theirs["sha256"]:
+        _, _, states = mine["command"].partition("--handoffs ")
+        changes["handoffs"] = f"`{states.split()[0]}`"
+    same = other["changes"].items()
+    changes |= {k: value for k, value in row["changes"].items() if (k, value) not in same}
+    return [f"`{name}` {_said(value)}" for name, value in changes.items()]
 
 
 def _in_words(name: str, changes: Mapping[str, Sequence[str]]) -> str:

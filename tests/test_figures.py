@@ -134,7 +134,10 @@ def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monk
         return {
             "run": f"{name}-seed{seed}",
             "seed": seed,
-            "trained": {"command": f"train --handoffs {states} --seed {seed}"},
+            "trained": {
+                "command": f"train --handoffs {states} --seed {seed}",
+                "sha256": {"handoffs": states},
+            },
             "env_steps": 30_801_920,
             "changes": {"engine": "mjx", "scene.physics_dt": 0.005} | changes,
             "evaluations": [

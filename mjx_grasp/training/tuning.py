@@ -26,10 +26,11 @@ from mjx_grasp.records.spread import TRIES
 from mjx_grasp.records.strict_yaml import load_yaml
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
-from mjx_grasp.training.job import given_to, run_together
+from mjx_grasp.training.job import run_together
 from mjx_grasp.training.plan import Run, read_plan
 from mjx_grasp.training.plan_folders import COMMAND, check_begun, finished, stands_at
 from mjx_grasp.training.plan_table import gathered, shown
+from mjx_grasp.training.start import given_to
 
 SCHEMA = "mjx_grasp.tune/1"
 

@@ -32,10 +32,11 @@ from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import touching
-from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.holding import can_hold
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import GATES, ReachPreset, with_gate
+from mjx_grasp.reaching.state import ReachOutcome
 from mjx_grasp.reaching.still import (
     WORLDS,
     Arrival,

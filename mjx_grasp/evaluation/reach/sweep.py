@@ -15,8 +15,9 @@ from mjx_grasp.evaluation.reach.poses import CylinderPoses
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import Candidates, cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState, ReachTick
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Library, Planner, Search
+from mjx_grasp.reaching.state import Plans, ReachOutcome, ReachState, ReachTick
 
 TOLERANCES = (0.010, 0.015, 0.020, 0.030, 0.050)
 """Of the table, [m]."""

@@ -29,7 +29,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import STEERED_SCORE, steered_candidates
+from mjx_grasp.pipeline.known import STEERED_SCORE, steered_candidates
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance

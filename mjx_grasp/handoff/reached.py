@@ -27,7 +27,8 @@ from mjx_grasp.handoff.rows import Row, as_set
 from mjx_grasp.handoff.sampling import poses_at_rest, rotation_matrix, sample_object_poses
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings

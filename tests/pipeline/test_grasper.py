@@ -17,9 +17,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
-from mjx_grasp.pipeline.assemble import (
-    grasper_of,
-)
+from mjx_grasp.pipeline.assemble import grasper_of
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper

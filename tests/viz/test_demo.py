@@ -16,7 +16,7 @@ from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import STEERED_SCORE
+from mjx_grasp.pipeline.known import STEERED_SCORE
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig

@@ -18,8 +18,8 @@ from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.trials import GraspProblem, home_tips
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import check_graspable, known_objects
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.known import check_graspable, known_objects
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.approach import Approach

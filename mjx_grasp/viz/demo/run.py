@@ -38,7 +38,7 @@ from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import GRAVITY, ObjectModel, load_objects
 from mjx_grasp.objects.momentum import net_wrench
-from mjx_grasp.pipeline.assemble import check_graspable, known_object
+from mjx_grasp.pipeline.known import check_graspable, known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.pressing import budget_for
 from mjx_grasp.posture.body import FINGERS

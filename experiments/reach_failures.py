@@ -21,9 +21,9 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
+from mjx_grasp.evaluation.reach.record import ReachRecord
 from mjx_grasp.evaluation.reach.results import FAILURES
 from mjx_grasp.evaluation.reach.run import run_sweep
-from mjx_grasp.evaluation.reach.sweep import ReachRecord
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Suffix

@@ -16,8 +16,9 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, SweepConfig, draw_poses
+from mjx_grasp.evaluation.reach.record import ReachRecord
 from mjx_grasp.evaluation.reach.results import classify, summary
-from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, plan_keys, sweep
+from mjx_grasp.evaluation.reach.sweep import plan_all, plan_keys, sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig

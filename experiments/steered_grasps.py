@@ -66,7 +66,7 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.engines import Engine, make_physics
 from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.viz.demo.run import from_anchor
+from mjx_grasp.viz.demo.result import from_anchor
 
 SCHEMA = "mjx_grasp.steered_grasps/4"
 _TEN = (

@@ -34,7 +34,8 @@ from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, to_record
-from mjx_grasp.robot.spec import HandSpec, load_robot
+from mjx_grasp.robot.description import HandSpec
+from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.steering_numbers/1"
 DEFAULT = "default"

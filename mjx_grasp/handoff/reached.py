@@ -47,8 +47,8 @@ from mjx_grasp.reaching.still import (
     plans_still,
     reach_still,
 )
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import joint_columns
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 

@@ -30,7 +30,7 @@ from mjx_grasp.objects.refine import refined
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
-    from mjx_grasp.robot.spec import HandSpec
+    from mjx_grasp.robot.description import HandSpec
 
 # Vertices worked on at once: bounds the memory of many meshes.
 _MOST_VERTICES = 250_000

@@ -18,7 +18,7 @@ from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner
 from mjx_grasp.reaching.presets import ReachPreset, reach_preset, with_gate
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 
 def whole_grasps(

@@ -27,7 +27,7 @@ from mjx_grasp.heatmap.steering import Heatmap
 from mjx_grasp.objects.clearance import collision_field
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.state import Known
-from mjx_grasp.robot.spec import HandSpec, RobotSpec
+from mjx_grasp.robot.description import HandSpec, RobotSpec
 
 CANDIDATES = 1024
 """Of a heatmap, among which reaching chooses: of a flat object or a small ball few are high enough

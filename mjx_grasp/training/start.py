@@ -19,7 +19,8 @@ from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
 from mjx_grasp.objects.meshes import find_scan
 from mjx_grasp.records.atomic import copy_file
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.training.config import TrainConfig
 
 START = "start.npz"

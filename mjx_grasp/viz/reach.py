@@ -19,7 +19,7 @@ from mjx_grasp.reaching.presets import ReachPreset
 from mjx_grasp.records.atomic import replacing, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
 
 

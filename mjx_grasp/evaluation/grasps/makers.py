@@ -24,7 +24,7 @@ from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.sim.engines import make_physics
 from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import Scene, build_scene

@@ -30,7 +30,7 @@ from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import Spread, spread, unspread
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 _ON_CPU = 128
 """Poses worked on at once."""

@@ -16,7 +16,7 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.pipeline.known import check_graspable
-from mjx_grasp.robot.spec import HandSpec
+from mjx_grasp.robot.description import HandSpec
 from mjx_grasp.viz.demo.config import DemoConfig
 
 _BRIGHTEST = 0.99

@@ -34,8 +34,8 @@ from mjx_grasp.evaluation.grasps.run import closing_policy, loaded_grasper
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import known_objects
 from mjx_grasp.pipeline.flat import FlatTick
+from mjx_grasp.pipeline.known import known_objects
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Seen
 from mjx_grasp.reaching.planning import start_library

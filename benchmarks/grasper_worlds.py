@@ -33,8 +33,8 @@ from mjx_grasp.evaluation.grasps.trials import GraspProblem, stacked
 from mjx_grasp.geometry import so3
 from mjx_grasp.objects.config import ObjectsConfig
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import known_objects
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.known import known_objects
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import GraspState, Known, Seen, Tried, Ways
 from mjx_grasp.posture.library import Library

@@ -37,9 +37,10 @@ from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.select import select
 from mjx_grasp.grasp.targets import standoffs
 from mjx_grasp.posture.body import FINGERS, robot_body
-from mjx_grasp.reaching.controller import Plans, Reacher
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import ReachPreset, for_sweep, reach_preset
+from mjx_grasp.reaching.state import Plans
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Range, Seed, Several

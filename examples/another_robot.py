@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import mjx_grasp
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
-from mjx_grasp.reaching.controller import ReachOutcome
+from mjx_grasp.reaching.state import ReachOutcome
 
 TICKS = 600  # 6 s at 100 Hz
 

@@ -24,8 +24,8 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.geometry import so3
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Tried
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
-from mjx_grasp.robot.spec import RobotSpec
 
 READ = ("q", "qd", "external_torque")
 """What a driver reads; the rest of `Measured` follows."""

@@ -16,6 +16,7 @@ from collect_runs import run_rows
 from markdown_tables import NOTHING, markdown, read, short_revision
 
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import Column, Condition, Groups, read_groups
 from mjx_grasp.evaluation.front_tables import (
     budget_table,
     equal_force_table,
@@ -24,15 +25,7 @@ from mjx_grasp.evaluation.front_tables import (
 from mjx_grasp.evaluation.handoff_tables import tip_error_table
 from mjx_grasp.evaluation.judging import gain, mean_force, mean_success, resampled, same_starts
 from mjx_grasp.evaluation.results import Results, ThroughputRow, read_results
-from mjx_grasp.evaluation.tables import (
-    Column,
-    Condition,
-    Groups,
-    condition_table,
-    failure_table,
-    force_table,
-    read_groups,
-)
+from mjx_grasp.evaluation.tables import condition_table, failure_table, force_table
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.objects.catalogue import load_catalogue

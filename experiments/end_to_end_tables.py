@@ -15,8 +15,8 @@ from markdown_tables import NOTHING, markdown, read, short_revision
 from policy_tables import named_run
 
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import Column, read_groups
 from mjx_grasp.evaluation.grasps.scenario import NOMINAL
-from mjx_grasp.evaluation.tables import Column, read_groups
 from mjx_grasp.records.table import Table
 
 _LIGHT_N = 0.5

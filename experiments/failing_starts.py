@@ -50,7 +50,8 @@ from mjx_grasp.reaching.plan_costs import circles
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import Scene, SceneConfig
 from mjx_grasp.tasks.assemble import build_scene_of
 

@@ -18,8 +18,8 @@ from policy_tables import comparisons
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.conditions import Groups, read_groups
 from mjx_grasp.evaluation.front_tables import front_panels
-from mjx_grasp.evaluation.tables import Groups, read_groups
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings
 from mjx_grasp.viz.plots import success_against_force, success_within_budgets

@@ -28,13 +28,14 @@ from mjx_grasp.evaluation.grasps.results import grasp_rows
 from mjx_grasp.evaluation.grasps.rollout import grasp_all
 from mjx_grasp.evaluation.grasps.run import loaded_grasper
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import check_graspable, known_object
+from mjx_grasp.pipeline.known import check_graspable, known_object
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.reaching.planning import start_library
 from mjx_grasp.records.atomic import check_writable, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Seed, to_record
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.native import NativePhysics
 from mjx_grasp.sim.scene import build_scene
 

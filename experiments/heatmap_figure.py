@@ -31,7 +31,8 @@ from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, to_record
-from mjx_grasp.robot.spec import HandSpec, load_robot
+from mjx_grasp.robot.description import HandSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.contact_sheet import Cell, contact_sheet
 from mjx_grasp.viz.heatmap import Subject, subject_of
 

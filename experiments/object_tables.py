@@ -15,8 +15,8 @@ from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import NOT_KEPT, POLICIES
 from mjx_grasp.evaluation.results import ResultRow, read_results
-from mjx_grasp.evaluation.tables import NOT_KEPT, POLICIES
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table

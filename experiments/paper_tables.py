@@ -15,9 +15,9 @@ from end_to_end_tables import bar_is_met, best, from_home
 from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import Column
 from mjx_grasp.evaluation.judging import SameStarts, mean_force, mean_success, resampled
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, read_results
-from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table

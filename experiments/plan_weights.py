@@ -33,7 +33,8 @@ from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
 from mjx_grasp.records.spread import Spread, unspread
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.tasks.config import StartNoise
 
 SCHEMA = "mjx_grasp.plan_weights/1"

@@ -18,6 +18,7 @@ from markdown_tables import NOTHING, markdown
 
 from mjx_grasp.errors import FileError
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import POLICIES, Column, Condition, Groups, read_groups
 from mjx_grasp.evaluation.judging import (
     gains_within,
     resampled,
@@ -25,7 +26,6 @@ from mjx_grasp.evaluation.judging import (
     success_within,
 )
 from mjx_grasp.evaluation.results import read_results
-from mjx_grasp.evaluation.tables import POLICIES, Column, Condition, Groups, read_groups
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import file_digests

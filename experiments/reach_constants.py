@@ -34,7 +34,8 @@ from mjx_grasp.records.atomic import check_writable, read_json, write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, WholeNumber, to_record
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.reach_constants/1"
 Changes = Mapping[str, Any]

@@ -8,8 +8,8 @@ from typing import Any
 
 from markdown_tables import NOTHING, markdown, read
 
+from mjx_grasp.evaluation.reach.record import BUDGETS
 from mjx_grasp.evaluation.reach.results import PAPER_HANDOFF_MM, PAPER_RATE
-from mjx_grasp.evaluation.reach.sweep import BUDGETS
 from mjx_grasp.records.table import Table
 
 Row = Mapping[str, Any]

@@ -21,14 +21,15 @@ from rich.console import Console
 
 from mjx_grasp.cli import run_command
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
+from mjx_grasp.evaluation.reach.record import ReachRecord
 from mjx_grasp.evaluation.reach.results import FAILURES
 from mjx_grasp.evaluation.reach.run import run_sweep
-from mjx_grasp.evaluation.reach.sweep import ReachRecord
 from mjx_grasp.reaching.presets import reach_preset
 from mjx_grasp.records.atomic import check_writable, replacing
 from mjx_grasp.records.settings import CommandSettings, Count, Seed, Suffix
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.spec import load_robot
 
 _SIZE = 320
 

@@ -49,7 +49,8 @@ from mjx_grasp.records.settings import (
     Share,
     to_record,
 )
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.closing import ClosingState, ClosingTask

@@ -13,7 +13,7 @@ from typing import Any
 from markdown_tables import NOTHING, markdown, read, short_revision
 from paper_parts import Part, fewer
 
-from mjx_grasp.evaluation.tables import read_groups
+from mjx_grasp.evaluation.conditions import read_groups
 from mjx_grasp.evaluation.verdict import verdict
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.table import Table

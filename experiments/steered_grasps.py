@@ -47,8 +47,9 @@ from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.pipeline.assemble import whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.body import FINGERS, PALM
@@ -65,7 +66,7 @@ from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.engines import Engine, make_physics
 from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import build_scene
-from mjx_grasp.viz.demo.run import from_anchor
+from mjx_grasp.viz.demo.result import from_anchor
 
 SCHEMA = "mjx_grasp.steered_grasps/4"
 _TEN = (

@@ -29,12 +29,13 @@ from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import SIDES, PartGrounder
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import STEERED_SCORE, steered_candidates
+from mjx_grasp.pipeline.known import STEERED_SCORE, steered_candidates
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.journal import Journal
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import CommandSettings, to_record
-from mjx_grasp.robot.spec import HandSpec, load_robot
+from mjx_grasp.robot.description import HandSpec
+from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.steering_numbers/1"
 DEFAULT = "default"

@@ -63,11 +63,11 @@ from mjx_grasp.closing.config import CloserConfig as CloserConfig
 
 # Whole grasps
 from mjx_grasp.pipeline.assemble import grasper_of as grasper_of
-from mjx_grasp.pipeline.assemble import known_object as known_object
 from mjx_grasp.pipeline.assemble import whole_grasps as whole_grasps
 from mjx_grasp.pipeline.config import GrasperConfig as GrasperConfig
 from mjx_grasp.pipeline.flat import FlatTick as FlatTick
 from mjx_grasp.pipeline.grasper import Grasper as Grasper
+from mjx_grasp.pipeline.known import known_object as known_object
 from mjx_grasp.pipeline.state import Known as Known
 from mjx_grasp.pipeline.state import Seen as Seen
 from mjx_grasp.pipeline.state import smoothed as smoothed

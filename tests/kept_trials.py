@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from mjx_grasp.evaluation.conditions import read_groups
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.robot.identity import FIRST_ROBOT
 
 PROVENANCE = {"command": "c", "git": "g", "versions": {}, "device": "a card", "seed": 0}

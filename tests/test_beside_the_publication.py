@@ -9,8 +9,8 @@ import pytest
 from loaded import script
 
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import Column
 from mjx_grasp.evaluation.results import OUTCOMES, ResultRow, write_results
-from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 

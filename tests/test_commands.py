@@ -137,7 +137,7 @@ def test_a_run_goes_on_from_the_start_states_it_began_with(
     monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
     monkeypatch.setattr(job, "_build", lambda *_: "a world")
     monkeypatch.setattr(job, "_run", lambda *_: None)
-    monkeypatch.setattr(job, "_made_handoffs", lambda *_: None)
+    monkeypatch.setattr(job, "made_handoffs", lambda *_: None)
     run_training(config, Console(quiet=True))
     run_training(stored_config(run), Console(quiet=True))
     states.write_bytes(asset_path("handoffs_reached.npz").read_bytes())
@@ -395,7 +395,7 @@ def test_an_interrupted_run_says_how_to_continue(monkeypatch, scene):
         raise KeyboardInterrupt("interrupted after iteration 3")
 
     monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
-    monkeypatch.setattr(job, "_made_handoffs", interrupted)
+    monkeypatch.setattr(job, "made_handoffs", interrupted)
     config = replace(preset_config("cpu"), out=Path("a run"))
     expected = "iteration 3; continue with: python -m mjx_grasp.train --resume 'a run'"
     with pytest.raises(KeyboardInterrupt, match=expected):

@@ -19,7 +19,8 @@ from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.records.atomic import write_json

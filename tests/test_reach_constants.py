@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mjx_grasp.evaluation.reach.poses import draw_poses
-from mjx_grasp.evaluation.reach.sweep import empty_record
+from mjx_grasp.evaluation.reach.record import empty_record
 from mjx_grasp.reaching.presets import PRESETS
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.records.settings import to_record

@@ -30,8 +30,8 @@ from mjx_grasp.closing.joints import DrivenJoints, action_size, driven_joints
 from mjx_grasp.closing.observer import ObserverState, initial_observer, observe
 from mjx_grasp.geometry.vectors import norm
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.robot.spec import RobotSpec
 
 
 class CloserState(NamedTuple):

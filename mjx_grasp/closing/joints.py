@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_grasp.closing.config import ActionConfig
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.indices import RobotIndices, robot_indices
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 
 class DrivenJoints(NamedTuple):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from mjx_grasp.evaluation.conditions import BEGAN_WITH, POLICIES, Column, Condition, Groups
 from mjx_grasp.evaluation.judging import (
     Estimate,
     SameStarts,
@@ -22,7 +23,6 @@ from mjx_grasp.evaluation.judging import (
     success_within,
     success_within_by_any,
 )
-from mjx_grasp.evaluation.tables import BEGAN_WITH, POLICIES, Column, Condition, Groups
 from mjx_grasp.records.table import Table
 
 BUDGETS_N = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)

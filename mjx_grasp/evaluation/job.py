@@ -23,7 +23,8 @@ from mjx_grasp.records.atomic import check_replaceable
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import spread, unspread
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, World, build_scene_of, build_world
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_grasp.evaluation.conditions import BEGAN_WITH, Column, Groups
 from mjx_grasp.evaluation.front_tables import BASELINES, Front, all_fronts, peaks_of, peaks_text
 from mjx_grasp.evaluation.judging import Estimate, gain, mean_force, mean_success
-from mjx_grasp.evaluation.tables import BEGAN_WITH, Column, Groups
 from mjx_grasp.records.table import Table
 
 

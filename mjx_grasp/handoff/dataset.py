@@ -25,8 +25,8 @@ from mjx_grasp.records.archive import (
     write_archive,
 )
 from mjx_grasp.records.settings import Settings
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.identity import FIRST_ROBOT, RobotIdentity, check_robot
-from mjx_grasp.robot.spec import RobotSpec
 
 ARRAYS = {
     "object_index": "int32 n",

@@ -36,7 +36,7 @@ from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.library import build_library
 from mjx_grasp.reaching.still import StillObject
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 

@@ -28,7 +28,8 @@ from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import unspread
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 
 _IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None}
 """What a search for postures knows nothing of."""

@@ -27,15 +27,17 @@ from mjx_grasp.handoff.rows import Row, as_set
 from mjx_grasp.handoff.sampling import poses_at_rest, rotation_matrix, sample_object_poses
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.assemble import known_object, whole_grasps
+from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.posture.body import Body, robot_body
 from mjx_grasp.posture.lift import scripted_lift
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.posture.touch import touching
-from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.holding import can_hold
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import GATES, ReachPreset, with_gate
+from mjx_grasp.reaching.state import ReachOutcome
 from mjx_grasp.reaching.still import (
     WORLDS,
     Arrival,
@@ -45,8 +47,8 @@ from mjx_grasp.reaching.still import (
     plans_still,
     reach_still,
 )
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import joint_columns
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.collision import CollisionChecker
 from mjx_grasp.sim.scene import build_scene
 

@@ -10,7 +10,7 @@ from mjx_grasp.handoff.dataset import ARRAYS, HandoffSet
 from mjx_grasp.handoff.report import ObjectReport
 from mjx_grasp.objects.model import ObjectModel
 from mjx_grasp.records.archive import packed, unpacked
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 
 def as_record(states: HandoffSet, report: ObjectReport) -> dict[str, Any]:

@@ -20,22 +20,17 @@ from mjx_grasp.geometry.mesh import (
     triangles_of,
 )
 from mjx_grasp.geometry.packing import filled_size
-from mjx_grasp.heatmap.backends import (
-    backend_for,
-    begin_brute,
-    brute_candidates,
-    bvh_candidates,
-    cut_out,
-    start_trees,
-)
+from mjx_grasp.heatmap.backends import backend_for
+from mjx_grasp.heatmap.brute import begin_brute, brute_candidates, cut_out
 from mjx_grasp.heatmap.candidates import GraspLimits, HeatmapRows, Masses, Surfaces
 from mjx_grasp.heatmap.config import HeatmapConfig
 from mjx_grasp.heatmap.steering import Heatmap, weigh
+from mjx_grasp.heatmap.trees import bvh_candidates, start_trees
 from mjx_grasp.objects.refine import refined
 
 if TYPE_CHECKING:
     from mjx_grasp.objects.model import ObjectModel
-    from mjx_grasp.robot.spec import HandSpec
+    from mjx_grasp.robot.description import HandSpec
 
 # Vertices worked on at once: bounds the memory of many meshes.
 _MOST_VERTICES = 250_000

@@ -8,11 +8,11 @@ from pathlib import Path
 from mjx_grasp.closing.learned import KEEPING
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.policy import Policy, load_policy
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.identity import check_robot
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.assemble import TaskConfig
-from mjx_grasp.tasks.config import task_from_record
 from mjx_grasp.tasks.observation import policy_sizes
+from mjx_grasp.tasks.record import task_from_record
 
 
 def load_controller(path: Path, robot: RobotSpec) -> Policy:

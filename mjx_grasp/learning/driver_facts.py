@@ -14,8 +14,8 @@ from mjx_grasp.learning.controller import check_deployable, deployed_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.provenance import command_line, file_digests, git_revision, versions
 from mjx_grasp.records.settings import to_record
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.layout import Segment, action_layout, observation_layout
 
 VERSION = 1

@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float
 
 from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
-from mjx_grasp.objects.meshes import split
+from mjx_grasp.objects.repair import split
 from mjx_grasp.objects.surface import outside_distance, sample_surface
 from mjx_grasp.records.settings import Count, NonNegative, Range, Seed, Settings
 

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 from rich.console import Console
 
-from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import (
     Asked,
@@ -26,21 +20,16 @@ from mjx_grasp.objects.catalogue import (
     load_catalogue,
 )
 from mjx_grasp.objects.config import Weight
-from mjx_grasp.objects.convex import ConvexConfig, Piece, convex_pieces
+from mjx_grasp.objects.convex import ConvexConfig, Piece
 from mjx_grasp.objects.inertia import mass_properties
+from mjx_grasp.objects.kept_pieces import Derived, content_hash, pieces_of
 from mjx_grasp.objects.meshes import centred, find_scan, read_mesh
 from mjx_grasp.objects.parametric import stand_in
 from mjx_grasp.objects.parts import parts_of
 from mjx_grasp.objects.resting import RestingPose, resting_poses
-from mjx_grasp.records.atomic import replacing
-from mjx_grasp.records.provenance import usable_cores
 
 GRAVITY = 9.81
 """[m/s²]"""
-_CACHE_FORMAT = 3
-
-Derived = tuple[tuple[Piece, ...], float]
-"""Convex pieces and their outward error [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +121,7 @@ def load_object(
     asked = _one(name)
     mesh, parts = _shape(asked, objects_dir)
     mass, _ = _weighed(asked, mesh, weight or Weight())
-    derived = _derived({asked.name: mesh}, cache_dir)[asked.name]
+    derived = pieces_of({asked.name: mesh}, cache_dir)[asked.name]
     return _model(asked, mesh, parts, derived, objects_dir, mass)
 
 
@@ -167,7 +156,7 @@ def load_objects(
     shapes = {each.name: _shape(each, objects_dir) for each in asked}
     weighed = {name: _weighed(by_name[name], mesh, weight) for name, (mesh, _) in shapes.items()}
     console = Console(stderr=True)
-    derived = _derived({name: mesh for name, (mesh, _) in shapes.items()}, cache_dir, console)
+    derived = pieces_of({name: mesh for name, (mesh, _) in shapes.items()}, cache_dir, console)
     loaded = [
         _model(each, *shapes[name], derived[name], objects_dir, weighed[name][0])
         for name, each in by_name.items()
@@ -199,7 +188,7 @@ def _model(
         source = "parametric" if objects_dir is None else "scan"
     com, inertia = mass_properties(mesh, mass)
     pieces, error = derived
-    resting, digest = resting_poses(pieces, com), _content_hash(mesh)
+    resting, digest = resting_poses(pieces, com), content_hash(mesh)
     return ObjectModel(
         asked.name, source, mesh, mass, com, inertia, pieces, error, resting, digest, parts
     )
@@ -225,92 +214,10 @@ def _weighed(asked: Asked, mesh: trimesh.Trimesh, weight: Weight) -> tuple[float
     return mass, said
 
 
-def _derived(
-    meshes: Mapping[str, trimesh.Trimesh], cache_dir: Path | None, console: Console | None = None
-) -> dict[str, Derived]:
-    """Convex pieces and their error by name: those of the cache, and the others on all cores.
-
-    In threads: NumPy, SciPy and CoACD, which take the time, run beside each other in them.
-    """
-    entries = {name: _cache_entry(_content_hash(m), cache_dir) for name, m in meshes.items()}
-    kept = {name: _read_cache(entry) for name, entry in entries.items()}
-    known = {name: derived for name, derived in kept.items() if derived is not None}
-    missing = [name for name in meshes if name not in known]
-    if not missing:
-        return known
-    cores = usable_cores()
-    pool = ThreadPoolExecutor(cores)
-    with counting_progress(console, transient=True) as progress:
-        bar = progress.add_task(_working_on(missing, cores), total=len(missing))
-        futures = {pool.submit(convex_pieces, meshes[name]): name for name in missing}
-        try:
-            for done in as_completed(futures):
-                name = futures[done]
-                known[name] = done.result()
-                with suppress(OSError):  # where nothing can be kept, it is worked out again
-                    _write_cache(entries[name], *known[name])
-                missing.remove(name)
-                progress.update(bar, advance=1, description=_working_on(missing, cores))
-        finally:
-            # After Ctrl-C nothing new begins, and what cannot be stopped is not waited for.
-            pool.shutdown(wait=False, cancel_futures=True)
-    return known
-
-
-def _working_on(names: Sequence[str], cores: int) -> str:
-    """What the bar says: objects are begun in their order, one per core."""
-    begun = names[:cores]
-    others = f" and {len(begun) - 1} more" if len(begun) > 1 else ""
-    return f"convex pieces of {begun[0]}{others}" if begun else "convex pieces"
-
-
 def stand_in_hash(name: str) -> str:
     """The content hash that the parametric stand-in of an object has.
 
     Args:
         name: A name of the catalogue.
     """
-    return _content_hash(object_mesh(name, None))
-
-
-def _content_hash(mesh: trimesh.Trimesh) -> str:
-    micrometres = np.round(np.asarray(mesh.vertices) * 1e6).astype(np.int64)
-    faces = np.asarray(mesh.faces, np.int64)
-    return hashlib.sha256(micrometres.tobytes() + faces.tobytes()).hexdigest()
-
-
-def _cache_entry(digest: str, cache_dir: Path | None) -> Path:
-    folder = cache_dir or Path.home() / ".cache" / "mjx_grasp"
-    settings: dict[str, Any] = {
-        "format": _CACHE_FORMAT,
-        "convex": asdict(ConvexConfig()),
-    }
-    key = hashlib.sha256((digest + json.dumps(settings, sort_keys=True)).encode()).hexdigest()
-    return folder / f"{key[:32]}.npz"
-
-
-def _write_cache(path: Path, pieces: tuple[Piece, ...], error: float) -> None:
-    arrays: dict[str, Any] = {f"vertices_{i}": p.vertices for i, p in enumerate(pieces)}
-    arrays |= {
-        "kind": np.array([p.kind for p in pieces]),
-        "pos": np.stack([p.pos for p in pieces]),
-        "radius": np.array([p.radius for p in pieces]),
-        "error": np.array(error),
-    }
-    with replacing(path) as temporary, open(temporary, "wb") as stream:
-        np.savez(stream, **arrays)
-
-
-def _read_cache(path: Path) -> tuple[tuple[Piece, ...], float] | None:
-    """A cache entry; None where there is none or it is damaged, so that it is made again."""
-    if not path.exists():
-        return None
-    try:
-        with np.load(path) as a:
-            pieces = tuple(
-                Piece(str(kind), a["pos"][i], float(a["radius"][i]), a[f"vertices_{i}"])
-                for i, kind in enumerate(a["kind"])
-            )
-            return pieces, float(a["error"])
-    except Exception:
-        return None
+    return content_hash(object_mesh(name, None))

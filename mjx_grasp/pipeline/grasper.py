@@ -52,9 +52,10 @@ from mjx_grasp.pipeline.state import (
 from mjx_grasp.pipeline.worlds import for_those
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.reaching.planning import Planner
+from mjx_grasp.reaching.state import Plans, ReachOutcome, ReachState
 from mjx_grasp.robot.interface import Measured
 
 

@@ -20,7 +20,7 @@ from mjx_grasp.grasp.wrench_margin import ContactConfig, Load, holding_force
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.state import Known, Seen
 from mjx_grasp.posture.body import FINGERS
-from mjx_grasp.reaching.controller import Plans
+from mjx_grasp.reaching.state import Plans
 
 
 def force_of_plan(

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mjx_grasp.pipeline.config import ServoConfig
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 
 class Servos(NamedTuple):

@@ -13,7 +13,7 @@ from mjx_grasp.geometry.vectors import turned, turned_back
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.grasp.points import ThreePoints
 from mjx_grasp.pipeline.pose_filter import PoseEstimate
-from mjx_grasp.reaching.controller import Plans, ReachState
+from mjx_grasp.reaching.state import Plans, ReachState
 
 
 class Known(NamedTuple):

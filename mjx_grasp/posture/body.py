@@ -18,10 +18,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mjx_grasp.errors import InputError
 from mjx_grasp.posture.cover import Part, Solids, cells, covered, filled, may_touch, padded, solids
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.kinematics import Kinematics, Motion
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 FINGERS = 3
 # Of the frames: the three tip sites, then the three pad sites, then the palm site.

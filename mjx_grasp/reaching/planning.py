@@ -28,7 +28,7 @@ from mjx_grasp.posture.ik import IkSolution, TipGoals, solve_ik
 from mjx_grasp.posture.library import Library, Options, build_library, choose_starts
 from mjx_grasp.posture.surroundings import Surroundings, stacked
 from mjx_grasp.reaching.approach import approaching
-from mjx_grasp.reaching.controller import Plans, Reacher
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import midpoint, pad_goals
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.holding import met, opposing
@@ -41,6 +41,7 @@ from mjx_grasp.reaching.plan_costs import (
     light_enough,
     slip_costs,
 )
+from mjx_grasp.reaching.state import Plans
 from mjx_grasp.reaching.way_out import freer
 
 

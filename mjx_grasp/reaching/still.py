@@ -20,8 +20,9 @@ from mjx_grasp.geometry.signed_distance import Shape
 from mjx_grasp.grasp.candidates import Candidates
 from mjx_grasp.posture.library import Library
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, ReachState
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner
+from mjx_grasp.reaching.state import Plans, ReachOutcome, ReachState
 
 Result = TypeVar("Result")
 
@@ -61,7 +62,7 @@ class Arrival(NamedTuple):
     """How each reach ended, worlds in front; void until it has."""
 
     outcome: Int[Array, " n"]
-    """a :class:`~mjx_grasp.reaching.controller.ReachOutcome`"""
+    """a :class:`~mjx_grasp.reaching.state.ReachOutcome`"""
     q: Float[Array, "n joints"]
     """the configuration for which the controller decided so [rad]"""
     error: Float[Array, "n 3"]

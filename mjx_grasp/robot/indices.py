@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from mjx_grasp.errors import InputError
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mjx_grasp.errors import InputError
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.kinematics import Kinematics
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 
 class Measured(NamedTuple):

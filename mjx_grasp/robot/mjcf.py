@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Int
 
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 
 def robot_mjspec(spec: RobotSpec) -> mujoco.MjSpec:

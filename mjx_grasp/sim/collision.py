@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.sim.scene import TABLE_GEOM, Scene
 
 # Reasons, in the order in which they are reported when there are several.

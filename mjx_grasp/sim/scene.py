@@ -27,8 +27,8 @@ from mjx_grasp.records.settings import (
     Settings,
     Share,
 )
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 OBJECT_BODY = "object"
 OBJECT_JOINT = "object_free"

@@ -11,7 +11,7 @@ import jax
 from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.sim.engines import Engine, make_physics
 from mjx_grasp.sim.physics import check_control_rate
 from mjx_grasp.sim.scene import Scene, SceneConfig, build_scene

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from mjx_grasp.closing.learned import FORCE_UNIT
 from mjx_grasp.records.settings import NonNegative, Settings, WholeNumber
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.indices import robot_indices
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 

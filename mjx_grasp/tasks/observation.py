@@ -7,9 +7,9 @@ from jaxtyping import Array, Bool, Float
 
 from mjx_grasp.closing.joints import action_size
 from mjx_grasp.grasp.points import ThreePoints
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.indices import robot_indices
 from mjx_grasp.robot.interface import Measured
-from mjx_grasp.robot.spec import RobotSpec
 from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.config import ClosingTaskConfig
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from mjx_grasp.evaluation.conditions import BEGAN_WITH, read_groups
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.run import evaluate, model_based
-from mjx_grasp.evaluation.tables import BEGAN_WITH, read_groups, success_table, untrained_note
+from mjx_grasp.evaluation.tables import success_table, untrained_note
 from mjx_grasp.evaluation.trajectory import Trajectory, record_world, save_trajectory
 from mjx_grasp.evaluation.trials import Trials, incidents, paired_draws, record_trials
 from mjx_grasp.evaluation.verdict import result_table, verdict

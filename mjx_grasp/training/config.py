@@ -27,13 +27,8 @@ from mjx_grasp.records.settings import (
 from mjx_grasp.sim.engines import Engine
 from mjx_grasp.sim.scene import SceneConfig
 from mjx_grasp.tasks.assemble import TaskConfig, has_gpu
-from mjx_grasp.tasks.config import (
-    EndToEndConfig,
-    RewardConfig,
-    RobotErrors,
-    StartNoise,
-    task_from_record,
-)
+from mjx_grasp.tasks.config import EndToEndConfig, RewardConfig, RobotErrors, StartNoise
+from mjx_grasp.tasks.record import task_from_record
 
 Preset = Literal["auto", "cpu", "gpu", "paper", "end-to-end"]
 

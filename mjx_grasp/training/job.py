@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import shlex
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.handoff.config import HandoffConfig
-from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
+from mjx_grasp.handoff.dataset import HandoffSet
 from mjx_grasp.handoff.shipped import shipped_for
 from mjx_grasp.handoff.states import eligible, states_of, with_states
 from mjx_grasp.learning.brax_env import BraxTask
@@ -27,23 +25,25 @@ from mjx_grasp.learning.policy import Policy, policy_from_training
 from mjx_grasp.learning.ppo import TrainState, init_state
 from mjx_grasp.learning.run import Member, train_together
 from mjx_grasp.learning.warm_start import begin_from
-from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
-from mjx_grasp.objects.meshes import find_scan
-from mjx_grasp.records.atomic import check_new_folder, copy_file, read_json, write_json
-from mjx_grasp.records.provenance import file_digests, provenance
+from mjx_grasp.records.atomic import read_json
+from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.identity import RobotIdentity
-from mjx_grasp.robot.spec import RobotSpec, load_robot
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.end_to_end import EndToEndTask
 from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.after import evaluate_run
 from mjx_grasp.training.config import TrainConfig
-from mjx_grasp.training.start import START, handoffs_wanted, start_file, start_policy
-
-_OPENING = ("config.json", "provenance.json")
-"""Files that are written when a run is opened."""
+from mjx_grasp.training.folder import (
+    check_same_files,
+    check_same_terms,
+    discard_run,
+    note_resumed,
+    open_run,
+    run_folder,
+)
+from mjx_grasp.training.start import given_to, handoffs_wanted, made_handoffs, trainable
 
 
 def run_training(
@@ -101,13 +101,13 @@ def run_together(
     _check_alike(configs, devices)
     for config in configs:
         _check_shared_by_processes(config)
-    folders = [_run_folder(config) for config in configs]
+    folders = [run_folder(config) for config in configs]
     console = console if devices.writes else Console(quiet=True)
     resumed = _to_resume(configs)
     robot, start, stored = given_to(first)
     for config in configs:
-        _check_same_files(config)
-        _check_same_terms(config, extra_terms)
+        check_same_files(config)
+        check_same_terms(config, extra_terms)
     scene = build_scene_of(first.objects, first.objects_dir, robot, first.scene, first.weight)
     fitting = _fit_worlds(first, scene, devices, len(configs))
     configs = [replace(config, ppo=fitting, fit_memory=False) for config in configs]
@@ -119,16 +119,16 @@ def run_together(
         configs, folders, commands or [None] * len(configs), strict=True
     ):
         if devices.writes and config.resume is None:
-            _open_run(config, folder, stored, shipped, command, extra_terms)
+            open_run(config, folder, stored, shipped, command, extra_terms)
         elif devices.writes:
-            _note_resumed(folder, provenance(config.seed, command))
+            note_resumed(folder, provenance(config.seed, command))
     try:
         if stored is None or world is None:
             try:
-                stored = _made_handoffs(wanted, shipped, robot, console)
+                stored = made_handoffs(wanted, shipped, robot, console)
             except MjxGraspError:
                 if first.resume is None:
-                    _discard_run(folders[0])
+                    discard_run(folders[0])
                 raise
             world = _build(scene, stored, first, console)
         runs = [
@@ -204,34 +204,6 @@ def _to_resume(configs: Sequence[TrainConfig]) -> list[Path | None]:
     return found
 
 
-class Given(NamedTuple):
-    """What a training is begun with."""
-
-    robot: RobotSpec
-    start: Policy | None
-    """the policy that it begins with"""
-    handoffs: HandoffSet | None
-    """its start states, where they are not made first"""
-
-
-def given_to(config: TrainConfig) -> Given:
-    """What a configuration names, looked at: what cannot work is refused in less than a second.
-
-    Raises:
-        InputError, FileError: A robot, policy, scan or start states that cannot be had or do not
-            belong together.
-    """
-    robot = load_robot(config.robot)
-    start = start_policy(config, robot)
-    for each in find_objects(config.objects):
-        if config.objects_dir is not None and each.file is None:
-            find_scan(config.objects_dir, load_catalogue()[each.name].scan_names)
-    stored = None if config.handoffs is None else load_handoffs(config.handoffs, robot=robot)
-    if stored is not None:
-        _trainable(resolve(config.objects), stored)
-    return Given(robot, start, stored)
-
-
 def _run(
     runs: Sequence[Opened],
     devices: Devices,
@@ -283,59 +255,9 @@ def _run(
             evaluate_run(run.folder, run.config, world, held_out, console, run.command)
 
 
-def _check_same_files(config: TrainConfig) -> None:
-    """Refuses to resume with other start states, or another policy, than the run began with.
-
-    Raises:
-        FileError: A file has changed since, or the run's provenance cannot be read.
-    """
-    if config.resume is None:
-        return
-    path, expected = config.resume / "provenance.json", "the provenance of the run to resume"
-    made_of = read_json(path, expected).get("sha256", {})
-    if not (isinstance(made_of, dict) and all(isinstance(x, str) for x in made_of.values())):
-        raise FileError(path, f"sha256 = {made_of!r}", expected)
-    given = {"handoffs": config.handoffs, "start_from": start_file(config)}
-    for name, digest in file_digests(**given).items():
-        if digest != made_of.get(name, digest):
-            what = f"the file that {config.resume} began with (SHA-256 {made_of[name][:12]})"
-            found = f"a changed file (SHA-256 {digest[:12]})"
-            raise FileError(given[name] or path, found, what)
-
-
-def _check_same_terms(config: TrainConfig, extra_terms: Sequence[RewardTerm]) -> None:
-    """Refuses to resume without the extra reward terms of the run, or with others.
-
-    Raises:
-        FileError: The terms differ.
-    """
-    if config.resume is None:
-        return
-    path = config.resume / "provenance.json"
-    began = read_json(path, "the provenance of the run to resume").get("extra_terms", [])
-    given = [term.name for term in extra_terms]
-    if given != began:
-        expected = f"{began}, as the run was begun with: resume it from the script that gave them"
-        raise FileError(path, f"extra reward terms {given} now", expected)
-
-
-def _trainable(names: Sequence[str], handoffs: HandoffSet) -> tuple[list[str], list[str]]:
-    """Splits objects into those with start states and those without.
-
-    Raises:
-        InputError: None has any.
-    """
-    have, without = eligible(names, handoffs)
-    if not have:
-        counts = handoffs.counts()
-        known = ", ".join(n for n in counts if counts[n]) or "none"
-        raise InputError("--objects", ", ".join(names), f"objects with pre-grasps ({known})")
-    return have, without
-
-
 def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Console) -> World:
     """The scene with the training's share of the start states."""
-    names, without = _trainable(scene.object_names, handoffs)
+    names, without = trainable(scene.object_names, handoffs)
     if without:
         console.print(f"[yellow]not eligible, left out: {', '.join(without)}[/yellow]")
     judged, unjudged, _ = with_states(names, handoffs, "evaluation")
@@ -346,88 +268,6 @@ def _build(scene: Scene, handoffs: HandoffSet, config: TrainConfig, console: Con
         few = "without start states beside those of the training, not evaluated"
         console.print(f"[yellow]{few}: {', '.join(unjudged)}[/yellow]")
     return build_world(scene, states_of(handoffs, names, "training"), config.task.control_dt)
-
-
-def _run_folder(config: TrainConfig) -> Path:
-    """The run's folder: that of the run to resume, or one that can be made.
-
-    Raises:
-        FileError: There is a run in it already.
-        InputError: Nothing can be written there.
-    """
-    if config.resume is not None:
-        return config.resume
-    folder = config.out or Path("runs") / f"{config.preset}-{time.strftime('%Y%m%d-%H%M%S')}"
-    if (folder / "config.json").exists():
-        raise FileError(
-            folder, "a run that is already there", f"another --out, or --resume {folder}"
-        )
-    check_new_folder("--out", folder)
-    return folder
-
-
-def _open_run(
-    config: TrainConfig,
-    folder: Path,
-    stored: HandoffSet | None,
-    shipped: Path | None,
-    command: str | None,
-    extra_terms: Sequence[RewardTerm],
-) -> None:
-    """Writes the configuration and the provenance of a new run to its folder."""
-    begun_with = start_file(config)
-    files = {"handoffs": config.handoffs, "shipped_handoffs": shipped}
-    digests = file_digests(**files, start_from=begun_with)
-    if begun_with is not None:  # a later version of the package ships another
-        copy_file(begun_with, folder / START)
-    made_of: dict[str, Any] = {"sha256": digests}
-    made_of["extra_terms"] = [term.name for term in extra_terms]
-    kind: str
-    if stored is None:
-        kind, wanted = config.handoffs_kind, config.handoffs_per_object
-        reached = handoffs_wanted(config, folder).shares(wanted)[1] / wanted
-    else:
-        kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
-    made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
-    contents = (to_record(config), provenance(config.seed, command) | made_of)
-    for name, content in zip(_OPENING, contents, strict=True):
-        write_json(folder / name, content)
-
-
-def _note_resumed(folder: Path, made: dict[str, Any]) -> None:
-    """Adds to a run's provenance what goes on with it, where that is not what began it."""
-    path = folder / "provenance.json"
-    began = read_json(path, "the provenance of the run to resume")
-    resumed = began.get("resumed", [])
-    last = resumed[-1] if resumed else began
-    if any(made[name] != last.get(name) for name in ("git", "versions", "device")):
-        write_json(path, began | {"resumed": [*resumed, made]})
-
-
-def _discard_run(folder: Path) -> None:
-    """Takes back what `_open_run` wrote, for a run that cannot begin."""
-    for name in (*_OPENING, START):
-        (folder / name).unlink(missing_ok=True)
-    if not any(folder.iterdir()):
-        folder.rmdir()
-
-
-def _made_handoffs(
-    wanted: HandoffConfig, shipped: Path | None, robot: RobotSpec, console: Console
-) -> HandoffSet:
-    """The set in the run's folder; if it is not there yet, a copy of the shipped one, or made."""
-    path = wanted.out
-    if path.exists():
-        return load_handoffs(path, robot=robot)
-    if shipped is not None:
-        console.print(f"start states: {shipped.name}, which ships with the package")
-        copy_file(shipped, path)
-    else:
-        from mjx_grasp.handoff.make import make_handoffs
-
-        console.print("making handoff states (give --handoffs to use a stored set)")
-        make_handoffs(wanted, console)
-    return load_handoffs(path, robot=robot)
 
 
 def _check_shared_by_processes(config: TrainConfig) -> None:

@@ -1,33 +1,23 @@
-"""Many trainings at once: a plan of settings, objects and seeds, run by Ray (extra `ray`)."""
+"""Many trainings at once: what a plan names, run by Ray (extra `ray`)."""
 
 from __future__ import annotations
 
-import csv
-import itertools
 import os
-import re
 import shlex
-import shutil
 import time
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import tyro
-import yaml
 from rich.console import Console
 from rich.table import Table
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
-from mjx_grasp.evaluation.results import read_results
-from mjx_grasp.evaluation.statistics import bootstrap_mean_interval
-from mjx_grasp.learning.checkpoint import checkpoints
 from mjx_grasp.records.atomic import check_new_folder, read_json, write_json
 from mjx_grasp.records.cluster import connected
 from mjx_grasp.records.provenance import provenance
@@ -36,15 +26,13 @@ from mjx_grasp.records.spread import TRIES
 from mjx_grasp.records.strict_yaml import load_yaml
 from mjx_grasp.tasks.assemble import has_gpu
 from mjx_grasp.training.command_line import parse
-from mjx_grasp.training.job import given_to, run_together
+from mjx_grasp.training.job import run_together
+from mjx_grasp.training.plan import Run, read_plan
+from mjx_grasp.training.plan_folders import COMMAND, check_begun, finished, stands_at
+from mjx_grasp.training.plan_table import gathered, shown
+from mjx_grasp.training.start import given_to
 
 SCHEMA = "mjx_grasp.tune/1"
-_COMMAND = ("python", "-m", "mjx_grasp.train")
-_LAST = 20
-"""Iterations whose mean stands for the end of a training."""
-_OWN = ("out", "resume", "seed")
-"""Flags of `train` that are not for a plan's settings."""
-_PLAN = "a mapping with `seeds`, `settings` and, if wanted, `flags` and `objects`"
 
 
 @dataclass(frozen=True)
@@ -70,129 +58,6 @@ class TuneConfig(CommandSettings):
     alone. The plan's paths and --out have to be the same on all its machines"""
 
 
-class Run(NamedTuple):
-    """One training of a plan."""
-
-    name: str
-    setting: str
-    objects: str
-    seed: int
-    flags: tuple[str, ...]
-    """of `train`"""
-
-
-def read_plan(path: Path, more: str = "") -> list[Run]:
-    """The trainings of a plan, every combination once.
-
-    Args:
-        path: The plan.
-        more: Flags that all have beside its own.
-
-    Raises:
-        InputError: These are none, or stand in the plan.
-        FileError: It is no plan, or two of its trainings have the same name.
-    """
-    try:
-        content = _mapping("the plan", load_yaml(path.read_text()))
-        known = {"flags", "settings", "objects", "seeds"}
-        if unknown := sorted(set(content) - known):
-            raise ValueError(f"unknown: {', '.join(unknown)}")
-        common = _flags_in("flags", content.get("flags"))
-        settings = {
-            _part(name): _flags_in(name, of)
-            for name, of in _mapping("settings", content.get("settings")).items()
-        }
-        asked = _mapping("objects", content.get("objects", {"": []}))
-        objects = {_part(name): _listed(name, of) for name, of in asked.items()}
-        seeds = _listed("seeds", content.get("seeds"))
-        if wrong := [seed for seed in seeds if type(seed) is not int]:
-            raise ValueError(f"seeds: {wrong[0]!r} is no whole number")
-        if not (settings and objects and seeds) or len(set(seeds)) < len(seeds):
-            raise ValueError("no settings, objects or seeds, or a seed twice")
-        if any(objects.values()) and any("objects" in of for of in (common, *settings.values())):
-            raise ValueError("objects both as a flag and as sets")
-    except (OSError, yaml.YAMLError, ValueError) as error:
-        said = " ".join(str(error).split())
-        raise FileError(path, f"no plan ({said})", _PLAN) from None
-    taken = {*common, *(flag for of in settings.values() for flag in of)}
-    words = _more_flags(more, taken | ({"objects"} if any(objects.values()) else set()))
-    runs = []
-    for setting, group, seed in itertools.product(settings, objects, seeds):
-        of = common | settings[setting] | {"seed": seed}
-        if objects[group]:
-            of |= {"objects": objects[group]}
-        name = "-".join(part for part in (setting, group, f"seed{seed}") if part)
-        runs.append(Run(name, setting, group, seed, (*as_flags(of), *words)))
-    for name, count in Counter(run.name for run in runs).items():
-        if count > 1:
-            expected = "names of settings and objects that make one of their own for each"
-            raise FileError(path, f"{count} trainings with the name {name}", expected)
-    return runs
-
-
-def _more_flags(more: str, taken: Collection[str]) -> list[str]:
-    """Words of a command line, whose flags a plan does not have.
-
-    Raises:
-        InputError: They cannot be split, or a flag is the plan's.
-    """
-    try:
-        words = shlex.split(more)
-    except ValueError as error:
-        raise InputError("--flags", more, f"words of a command line ({error})") from None
-    for word in words:
-        flag = word.partition("=")[0].removeprefix("--")
-        if word.startswith("--") and (flag in taken or flag in _OWN):
-            raise InputError("--flags", word, "flags that are not the plan's")
-    return words
-
-
-def _mapping(name: str, value: Any) -> dict[Any, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{name}: {value!r} is no mapping")
-    return value
-
-
-def _flags_in(name: object, value: Any) -> dict[str, Any]:
-    """Flags by the names that `train` has for them, without those that the plan itself decides."""
-    flags = {}
-    for flag, of in _mapping(str(name), {} if value is None else value).items():
-        typed = str(flag).replace("_", "-")
-        if typed in _OWN:
-            raise ValueError(f"{name}: {flag}, which a plan decides itself")
-        if typed in flags:
-            raise ValueError(f"{name}: {typed} stands twice")
-        flags[typed] = of
-    return flags
-
-
-def _part(name: object) -> str:
-    """A part of the name of a training's folder."""
-    if re.fullmatch(r"(\w[\w.+-]*)?", str(name)) is None:
-        raise ValueError(f"{name!r} as a name: letters, digits and . + - _ alone")
-    return str(name)
-
-
-def _listed(name: object, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError(f"{name}: {value!r} is no list")
-    return value
-
-
-def as_flags(values: Mapping[str, Any]) -> Iterator[str]:
-    """Names and values of a plan as words of a command line."""
-    for name, value in values.items():
-        name = str(name).replace("_", "-")
-        *parts, last = name.split(".")
-        if value is False:
-            yield "--" + ".".join((*parts, f"no-{last}"))
-        elif value is True:
-            yield f"--{name}"
-        else:
-            yield f"--{name}"
-            yield from map(str, value if isinstance(value, list) else [value])
-
-
 def tune(config: TuneConfig, console: Console) -> Table:
     """Runs what is not finished and gathers the table, which it also writes.
 
@@ -212,7 +77,7 @@ def tune(config: TuneConfig, console: Console) -> Table:
     if not config.out.exists():
         check_new_folder("--out", config.out)
     for run in runs:
-        _check_begun(config.out / run.name, run)
+        check_begun(config.out / run.name, run)
     left = [run for run in runs if not finished(config.out / run.name)]
     _check(config, left)
     table = config.out / "table.json"
@@ -239,46 +104,6 @@ def _before(table: Path) -> float:
     if not table.exists():
         return 0.0
     return read_json(table, "a table of trainings").get("took_s", 0.0)
-
-
-def finished(folder: Path | str) -> bool:
-    """Whether a training has come to its end, its evaluation included."""
-    return (Path(folder) / "finished.json").exists()
-
-
-def _check_begun(folder: Path, run: Run) -> None:
-    """Refuses to go on with, or to count, what was begun with other flags.
-
-    Raises:
-        FileError: It was.
-    """
-    if not (finished(folder) or (folder / "provenance.json").exists()):
-        return
-    begun, asked = _flags_of(_begun_by(folder)), _flags_of(shlex.join(run.flags))
-    if begun != asked:
-        its, own = (" ".join(sorted(x)) or "no such flag" for x in (begun - asked, asked - begun))
-        expected = f"{own}, as in the plan; name another --out, or delete the folder"
-        raise FileError(folder, f"a training that was begun with {its}", expected)
-
-
-def _begun_by(folder: Path) -> str:
-    """The command that began a training, or its flags alone."""
-    made = folder / "provenance.json"
-    if made.exists():
-        command = str(read_json(made, "the provenance of a training").get("command"))
-        if command.startswith(shlex.join(_COMMAND)):
-            return command
-    if not finished(folder):
-        return ""
-    # The first trainings of plans were said to be made by Ray.
-    flags = read_json(folder / "finished.json", "flags of a training").get("flags", [])
-    return shlex.join(map(str, flags))
-
-
-def _flags_of(command: str) -> set[str]:
-    """The flags of a command of `train`, each with its values; all but the folder."""
-    _, *flags = f" {command}".split(" --")
-    return {f"--{flag}" for flag in flags if not flag.startswith("out ")}
 
 
 def _check(config: TuneConfig, runs: Sequence[Run]) -> None:
@@ -318,7 +143,7 @@ def _refusal(flags: list[str]) -> str:
     except MjxGraspError as error:
         return str(error)
     except SystemExit:  # of the parser, which has said why
-        return f"no flags of `{shlex.join(_COMMAND)}` ({shlex.join(flags)})"
+        return f"no flags of `{shlex.join(COMMAND)}` ({shlex.join(flags)})"
     return ""
 
 
@@ -393,7 +218,7 @@ def train(folders: list[str], flags: list[list[str]], cwd: str) -> None:
     wanted = [(Path(at), of) for at, of in zip(folders, flags, strict=True) if not finished(at)]
     groups: dict[str, list[tuple[Path, list[str]]]] = {}
     for at, of in wanted:
-        groups.setdefault(_stands_at(at), []).append((at, of))
+        groups.setdefault(stands_at(at), []).append((at, of))
     failed: MjxGraspError | None = None
     for group in groups.values():
         try:
@@ -404,15 +229,6 @@ def train(folders: list[str], flags: list[list[str]], cwd: str) -> None:
         raise failed
 
 
-def _stands_at(folder: Path) -> str:
-    """What a training has come to: trainings that go on in step have to begin alike."""
-    if not (folder / "provenance.json").exists():
-        _clear(folder)  # cut short while it was opened
-        return "not begun"
-    kept = checkpoints(folder / "checkpoints")
-    return kept[-1].name if kept else "begun"
-
-
 def _train_group(group: Sequence[tuple[Path, list[str]]]) -> None:
     """Trains in step."""
     words = [["--resume", str(at)] if at.exists() else [*of, "--out", str(at)] for at, of in group]
@@ -420,81 +236,8 @@ def _train_group(group: Sequence[tuple[Path, list[str]]]) -> None:
         [os.path.relpath(word) if word == str(at) else word for word in of]
         for of, (at, _) in zip(words, group, strict=True)
     ]
-    commands = [shlex.join([*_COMMAND, *of]) for of in shown]
+    commands = [shlex.join([*COMMAND, *of]) for of in shown]
     with open(os.devnull, "w") as nowhere:
         run_together([parse(of) for of in words], Console(file=nowhere), commands=commands)
     for at, of in group:
         write_json(at / "finished.json", {"flags": of})
-
-
-def _clear(folder: Path) -> None:
-    """Removes what was left of a training that had not begun.
-
-    Raises:
-        FileError: There is something else in its folder.
-    """
-    if not folder.exists():
-        return
-    opened = ("config.json", "handoffs", ".")
-    if others := sorted(p.name for p in folder.iterdir() if not p.name.startswith(opened)):
-        raise FileError(folder, f"{others[0]} and no training", "a training, or no such folder")
-    shutil.rmtree(folder)
-
-
-def gathered(out: Path, runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """One row per finished training: how it ended, and what its evaluation says."""
-    rows = []
-    for run in runs:
-        folder = out / run.name
-        if not finished(folder):
-            continue
-        with (folder / "metrics.csv").open(newline="") as stream:
-            last = list(csv.DictReader(stream))[-_LAST:]
-        trained = {name: _mean(float(row[name]) for row in last) for name in ("success", "force_n")}
-        row: dict[str, Any] = {
-            "run": run.name,
-            "setting": run.setting,
-            "objects": run.objects,
-            "seed": run.seed,
-            "trained_percent": None if trained["success"] is None else 100 * trained["success"],
-            "trained_force_n": trained["force_n"],
-            "seconds": float(last[-1]["seconds"]),
-        }
-        results = folder / "results.json"
-        if results.exists():
-            rows_of = read_results(results).rows
-            policy = [r for r in rows_of if r.controller == "policy" and r.label is None]
-            row["evaluated_percent"] = _mean(100 * r.successes / r.episodes for r in policy)
-            forces = (r.force_mean_n for r in policy if r.force_mean_n is not None)
-            row["evaluated_force_n"] = _mean(forces)
-        rows.append(row)
-    return rows
-
-
-def _mean(values: Iterator[float]) -> float | None:
-    known = [x for x in values if x == x]
-    return float(np.mean(known)) if known else None
-
-
-def shown(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Mean over the seeds of each setting and set of objects, with a bootstrap interval."""
-    columns = {
-        "trained_percent": "trained %",
-        "trained_force_n": "N",
-        "evaluated_percent": "evaluated %",
-        "evaluated_force_n": "N",
-        "seconds": "s",
-    }
-    table = Table("setting", "objects", "seeds", *columns.values(), box=None)
-    for setting, objects in dict.fromkeys((row["setting"], row["objects"]) for row in rows):
-        of = [row for row in rows if (row["setting"], row["objects"]) == (setting, objects)]
-        cells = []
-        for name in columns:
-            values = np.array([row[name] for row in of if row.get(name) is not None])
-            text = f"{values.mean():.1f}" if len(values) else ""
-            if len(values) > 1:
-                low, high = bootstrap_mean_interval(values, seed=0)
-                text += f" ({low:.1f}–{high:.1f})"
-            cells.append(text)
-        table.add_row(setting, objects, str(len(of)), *cells)
-    return table

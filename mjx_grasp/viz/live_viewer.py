@@ -25,7 +25,7 @@ from mjx_grasp.heatmap.files import StoredHeatmap
 from mjx_grasp.language.grounding import Target, target_of
 from mjx_grasp.objects.meshes import EXTENSIONS
 from mjx_grasp.objects.model import ObjectModel
-from mjx_grasp.pipeline.assemble import known_object, steered_candidates
+from mjx_grasp.pipeline.known import known_object, steered_candidates
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.sim.scene import OBJECT_BODY, TABLE_GEOM
 from mjx_grasp.viz.demo.plots import FINGERS

@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.conditions import BEGAN_WITH, POLICIES, Column
 from mjx_grasp.evaluation.front_tables import Front
 from mjx_grasp.evaluation.judging import interval
-from mjx_grasp.evaluation.tables import BEGAN_WITH, POLICIES, Column
 from mjx_grasp.viz.labels import Label, place
 
 Metrics = dict[str, Float[np.ndarray, " t"]]

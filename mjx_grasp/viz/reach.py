@@ -12,14 +12,14 @@ from mjx_grasp.evaluation.reach.poses import (
     PoseDistribution,
     SweepConfig,
 )
+from mjx_grasp.evaluation.reach.record import BUDGETS
 from mjx_grasp.evaluation.reach.results import PAPER_RATE
 from mjx_grasp.evaluation.reach.run import SweepRun
-from mjx_grasp.evaluation.reach.sweep import BUDGETS
 from mjx_grasp.reaching.presets import ReachPreset
 from mjx_grasp.records.atomic import replacing, write_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.viz.plots import GREY, new_figure, png, style
 
 

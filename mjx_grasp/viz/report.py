@@ -13,20 +13,14 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.conditions import Groups, read_groups
 from mjx_grasp.evaluation.front_tables import (
     budget_table,
     equal_force_table,
     front_panels,
 )
 from mjx_grasp.evaluation.results import read_results
-from mjx_grasp.evaluation.tables import (
-    Groups,
-    condition_table,
-    failure_table,
-    force_table,
-    read_groups,
-    untrained_note,
-)
+from mjx_grasp.evaluation.tables import condition_table, failure_table, force_table, untrained_note
 from mjx_grasp.evaluation.verdict import result_table, verdict
 from mjx_grasp.records.atomic import read_json, replacing
 from mjx_grasp.viz.plots import (

@@ -19,7 +19,8 @@ from mjx_grasp.evaluation.grasps.worlds import LEAST_S
 from mjx_grasp.handoff.config import SamplingConfig
 from mjx_grasp.handoff.sampling import poses_at_rest, sample_object_poses
 from mjx_grasp.objects.model import load_object
-from mjx_grasp.pipeline.assemble import grasper_of, known_object, whole_grasps
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.pipeline.phases import Phase
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.planning import start_library

@@ -15,6 +15,7 @@ from typed import refusal
 from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.reach import run as module
 from mjx_grasp.evaluation.reach.poses import TUNING_SEEDS, PoseDistribution, SweepConfig, draw_poses
+from mjx_grasp.evaluation.reach.record import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.evaluation.reach.results import (
     FAILURES,
     PAPER_RATE,
@@ -23,7 +24,6 @@ from mjx_grasp.evaluation.reach.results import (
     summary,
 )
 from mjx_grasp.evaluation.reach.run import Reached, journal_of, run_sweep
-from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, empty_record, share_converged
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.reaching.presets import PRESETS, for_sweep, reach_preset
 from mjx_grasp.robot.spec import load_robot

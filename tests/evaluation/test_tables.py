@@ -9,15 +9,10 @@ from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.evaluation import paper
+from mjx_grasp.evaluation.conditions import read_groups
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.evaluation.tables import (
-    condition_table,
-    failure_table,
-    force_table,
-    read_groups,
-    success_table,
-)
+from mjx_grasp.evaluation.tables import condition_table, failure_table, force_table, success_table
 from mjx_grasp.records.table import Table
 from mjx_grasp.robot.identity import FIRST_ROBOT
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from kept_trials import groups_of, row, squeeze
 
-from mjx_grasp.evaluation.tables import BEGAN_WITH
+from mjx_grasp.evaluation.conditions import BEGAN_WITH
 from mjx_grasp.evaluation.verdict import result_table, verdict
 
 N = 40

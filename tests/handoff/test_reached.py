@@ -18,9 +18,9 @@ from mjx_grasp.handoff.reached import ReachedGenerator, _Task, reach_settings
 from mjx_grasp.handoff.report import OUTCOMES, TIPS
 from mjx_grasp.handoff.sampling import rotation_matrix, sample_object_poses
 from mjx_grasp.objects.model import load_object
-from mjx_grasp.pipeline.assemble import known_object
-from mjx_grasp.reaching.controller import ReachOutcome
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.reaching.presets import GATES
+from mjx_grasp.reaching.state import ReachOutcome
 from mjx_grasp.reaching.still import Placed, StillObject, plans_still, reach_still
 from mjx_grasp.robot.mjcf import joint_columns
 from mjx_grasp.sim.collision import REASONS, CollisionChecker

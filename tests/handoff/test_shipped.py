@@ -16,9 +16,9 @@ from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import stand_in_hash
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import file_digests
-from mjx_grasp.training import job
 from mjx_grasp.training.config import settings_of
-from mjx_grasp.training.start import handoffs_wanted
+from mjx_grasp.training.folder import open_run
+from mjx_grasp.training.start import handoffs_wanted, made_handoffs
 
 CUBE, STAND_INS, SCANS = (each.path for each in SHIPPED)
 
@@ -45,7 +45,7 @@ def test_a_training_without_scans_begins_with_the_shipped_states_of_its_objects(
     config = settings_of(preset)
     wanted = handoffs_wanted(config, tmp_path)
     assert shipped(config) == path
-    states = job._made_handoffs(wanted, path, robot, Console(quiet=True))
+    states = made_handoffs(wanted, path, robot, Console(quiet=True))
     assert states.reached.all() and wanted.kind == "reached"
     counts = states.counts()
     assert all(counts[name] >= wanted.per_object for name in resolve(config.objects))
@@ -75,7 +75,7 @@ def test_a_run_says_by_their_digest_that_it_began_with_the_shipped_states(cpu, t
     def digests(file):
         folder = tmp_path / str(file is None)
         folder.mkdir()
-        job._open_run(cpu, folder, None, file, None, ())
+        open_run(cpu, folder, None, file, None, ())
         return read_json(folder / "provenance.json", "provenance")["sha256"]
 
     assert digests(CUBE)["shipped_handoffs"] == file_digests(x=CUBE)["x"]
@@ -115,7 +115,7 @@ def test_states_by_other_settings_are_made(cpu, robot, tmp_path, monkeypatch, ot
     changed = replace(cpu, **other)
     assert shipped(changed) is None
     with pytest.raises(Made):
-        job._made_handoffs(
+        made_handoffs(
             handoffs_wanted(changed, tmp_path), shipped(changed), robot, Console(quiet=True)
         )
     assert not list(tmp_path.iterdir()), "nothing is written"

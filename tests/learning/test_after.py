@@ -12,10 +12,10 @@ from rich.console import Console
 
 from mjx_grasp.assets import asset_path
 from mjx_grasp.closing.config import REACTING, GripConfig
+from mjx_grasp.evaluation.conditions import read_groups
 from mjx_grasp.evaluation.config import EvaluateConfig
 from mjx_grasp.evaluation.results import read_results
 from mjx_grasp.evaluation.run import evaluate, summarise
-from mjx_grasp.evaluation.tables import read_groups
 from mjx_grasp.evaluation.trials import Trials
 from mjx_grasp.evaluation.verdict import verdict
 from mjx_grasp.learning.controller import deployed_task

@@ -22,15 +22,9 @@ from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.training import tuning
-from mjx_grasp.training.tuning import (
-    TuneConfig,
-    as_flags,
-    gathered,
-    read_plan,
-    run_all,
-    shown,
-    tune,
-)
+from mjx_grasp.training.plan import Run, as_flags, read_plan
+from mjx_grasp.training.plan_table import gathered, shown
+from mjx_grasp.training.tuning import TuneConfig, run_all, tune
 
 PLAN = """
 flags: {preset: cpu, ppo.iterations: 2}
@@ -304,7 +298,7 @@ def test_a_folder_that_holds_something_else_stays(tmp_path, trainings):
 
 def test_seeds_that_are_trained_together_are_one_process(tmp_path, trainings, monkeypatch):
     """All of a setting that are left; those that were cut short in their opening begin anew."""
-    runs = [tuning.Run(f"{s}-seed{k}", s, "", k, ("--seed", str(k))) for s in "ab" for k in (0, 1)]
+    runs = [Run(f"{s}-seed{k}", s, "", k, ("--seed", str(k))) for s in "ab" for k in (0, 1)]
     config = TuneConfig(tmp_path / "plan.yaml", tmp_path, together=True)
     assert [[r.name for r in group] for group in tuning._groups(config, runs)] == [
         ["a-seed0", "a-seed1"],
@@ -382,7 +376,7 @@ def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
         with (at / "done").open("a") as stream:
             stream.write("x")
 
-    runs = [tuning.Run(f"run{k}", "a", "", k, ("fail",) if k == 5 else ()) for k in range(12)]
+    runs = [Run(f"run{k}", "a", "", k, ("fail",) if k == 5 else ()) for k in range(12)]
     rng, killed, started = random.Random(0), set(), time.monotonic()
     over = threading.Event()
 

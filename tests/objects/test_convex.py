@@ -9,8 +9,8 @@ import trimesh
 
 from mjx_grasp.objects.convex import ConvexConfig, Division, Piece, convex_pieces, outward_error
 from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
-from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.repair import split
 
 FEW = ConvexConfig(samples=800, divisions=(Division(),))
 NAMES = ("foam_brick", "tomato_soup_can", pytest.param("mug", marks=pytest.mark.long))

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjx_grasp.errors import FileError
-from mjx_grasp.objects.meshes import EXTENSIONS, centred, find_scan, read_mesh, repair, split
+from mjx_grasp.objects.meshes import EXTENSIONS, centred, find_scan, read_mesh
+from mjx_grasp.objects.repair import repair, split
 
 
 def ball(radius=0.04, subdivisions=3):

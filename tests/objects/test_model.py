@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.objects import model
+from mjx_grasp.objects import kept_pieces
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.convex import ConvexConfig
 from mjx_grasp.objects.model import load_object, load_objects
@@ -36,8 +36,8 @@ def cache(tmp_path):
 def derivations(monkeypatch):
     """How often convex pieces were worked out."""
     calls = []
-    real = model.convex_pieces
-    monkeypatch.setattr(model, "convex_pieces", lambda mesh: calls.append(1) or real(mesh))
+    real = kept_pieces.convex_pieces
+    monkeypatch.setattr(kept_pieces, "convex_pieces", lambda mesh: calls.append(1) or real(mesh))
     return calls
 
 
@@ -102,7 +102,7 @@ def test_a_damaged_entry_is_made_again(scans, cache, derivations, damage):
 def test_other_settings_use_another_entry(scans, cache, derivations, monkeypatch, change):
     load_object("foam_brick", scans, cache)
     for name, value in change.items():
-        monkeypatch.setattr(model, name, value)
+        monkeypatch.setattr(kept_pieces, name, value)
     load_object("foam_brick", scans, cache)
     assert len(derivations) == 2 and len(list(cache.iterdir())) == 2
 
@@ -149,7 +149,7 @@ def test_pieces_that_stand_out_are_named(scans, cache, monkeypatch, capsys):
     load_objects(["foam_brick"], scans, cache)
     assert "stand out" not in capsys.readouterr().err
     pieces = load_object("foam_brick", scans, cache).pieces
-    monkeypatch.setattr(model, "convex_pieces", lambda mesh: (pieces, 0.009))
+    monkeypatch.setattr(kept_pieces, "convex_pieces", lambda mesh: (pieces, 0.009))
     load_objects(["foam_brick", "pitcher_base"], scans, cache)  # the first from the cache
     said = " ".join(capsys.readouterr().err.split())
     assert "more than 6 mm: pitcher_base (9 mm)" in said and "foam_brick" not in said

@@ -9,8 +9,8 @@ import pytest
 from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import InputError
 from mjx_grasp.objects.catalogue import load_catalogue
-from mjx_grasp.objects.meshes import split
 from mjx_grasp.objects.parametric import stand_in
+from mjx_grasp.objects.repair import split
 
 ROOT = Path(__file__).resolve().parents[2]
 CATALOGUE = load_catalogue()

@@ -17,9 +17,7 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
-from mjx_grasp.pipeline.assemble import (
-    grasper_of,
-)
+from mjx_grasp.pipeline.assemble import grasper_of
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.flat import FlatTick
 from mjx_grasp.pipeline.grasper import Grasper
@@ -28,10 +26,11 @@ from mjx_grasp.pipeline.pressing import preloaded
 from mjx_grasp.pipeline.state import Known, Seen, Tried, Ways
 from mjx_grasp.reaching import admm
 from mjx_grasp.reaching.config import HandoffGate
-from mjx_grasp.reaching.controller import Plans, Reacher
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.fields import midpoint
 from mjx_grasp.reaching.guide import no_guide
 from mjx_grasp.reaching.presets import reach_preset
+from mjx_grasp.reaching.state import Plans
 from mjx_grasp.robot.interface import measured_from_joints, measuring_kinematics
 from mjx_grasp.tasks.closing import ClosingTask
 from mjx_grasp.tasks.config import ClosingTaskConfig, StartNoise

@@ -15,8 +15,9 @@ from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.meshes import heatmap_of_mesh
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline import assemble
-from mjx_grasp.pipeline.assemble import (
+from mjx_grasp.pipeline import known as known_module
+from mjx_grasp.pipeline.assemble import whole_grasps
+from mjx_grasp.pipeline.known import (
     CANDIDATES,
     LEVERED,
     STEERED_AT_LEAST,
@@ -27,7 +28,6 @@ from mjx_grasp.pipeline.assemble import (
     known_objects,
     steered_candidates,
     steered_scores,
-    whole_grasps,
 )
 
 
@@ -126,8 +126,8 @@ class _Seen(NamedTuple):
 
 @pytest.mark.wrong_types
 def test_most_of_a_steered_grasps_candidates_are_the_anchors_best(monkeypatch):
-    monkeypatch.setattr(assemble, "STEERED_CANDIDATES", 16)
-    monkeypatch.setattr(assemble, "STEERED_AT_LEAST", (1,))
+    monkeypatch.setattr(known_module, "STEERED_CANDIDATES", 16)
+    monkeypatch.setattr(known_module, "STEERED_AT_LEAST", (1,))
     n, some = 40, jnp.arange(40)
     points = jnp.stack([some, 0 * some, 0 * some], axis=1).astype(jnp.float32)
     wrap = jnp.broadcast_to(points[:, None], (n, 2, 3))

@@ -12,8 +12,9 @@ from mjx_grasp.evaluation.reach.sweep import candidates_of
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.reaching.command import programme
 from mjx_grasp.reaching.config import SolverConfig
-from mjx_grasp.reaching.controller import Plans, Reacher
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.qp import QP, WarmStart, scales
+from mjx_grasp.reaching.state import Plans
 
 
 def draw_problems(

@@ -12,10 +12,11 @@ from mjx_grasp.posture.body import PALM
 from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import scaled_back
-from mjx_grasp.reaching.controller import Plans, Reacher
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.guide import Guide
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
+from mjx_grasp.reaching.state import Plans
 
 ROUNDING = 1e-6
 WORLDS, TICKS = 48, 250

@@ -12,8 +12,9 @@ from mjx_grasp.posture.body import FINGERS, PALM
 from mjx_grasp.posture.clearances import proximities
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.command import programme
-from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.presets import reach_preset
+from mjx_grasp.reaching.state import ReachOutcome
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.08))
 NONE = jnp.zeros((0, 4))

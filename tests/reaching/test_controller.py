@@ -18,10 +18,11 @@ from mjx_grasp.posture.body import robot_body
 from mjx_grasp.posture.config import StartConfig
 from mjx_grasp.posture.surroundings import Surroundings, placed
 from mjx_grasp.reaching.config import HandoffGate
-from mjx_grasp.reaching.controller import Plans, Reacher, ReachOutcome, is_ready
+from mjx_grasp.reaching.controller import Reacher, is_ready
 from mjx_grasp.reaching.guide import no_guide
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import for_sweep, reach_preset
+from mjx_grasp.reaching.state import Plans, ReachOutcome
 from mjx_grasp.robot.spec import load_robot
 
 SHAPE = Cylinder(jnp.float32(0.03), jnp.float32(0.06))

@@ -12,9 +12,10 @@ from mjx_grasp.geometry import so3
 from mjx_grasp.geometry.signed_distance import Cylinder
 from mjx_grasp.grasp.candidates import cylinder_candidates
 from mjx_grasp.posture.surroundings import Surroundings
-from mjx_grasp.reaching.controller import Reacher, ReachOutcome
+from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.planning import Planner, start_library
 from mjx_grasp.reaching.presets import reach_preset
+from mjx_grasp.reaching.state import ReachOutcome
 
 TICKS, DT = 600, 0.01
 SCENARIOS = ("still", "drift", "jump", "turn", "obstacle")

@@ -13,13 +13,8 @@ from mjx_grasp.grasp.targets import admissible, target_options
 from mjx_grasp.heatmap.compute import heatmap_of
 from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.model import load_objects
-from mjx_grasp.pipeline.assemble import (
-    STEERED_AT_LEAST,
-    STEERED_SCORE,
-    grasper_of,
-    known_object,
-    whole_grasps,
-)
+from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
+from mjx_grasp.pipeline.known import STEERED_AT_LEAST, STEERED_SCORE, known_object
 from mjx_grasp.posture.surroundings import Surroundings
 from mjx_grasp.reaching.plan_config import PlanConfig
 from mjx_grasp.reaching.planning import Planner

@@ -9,13 +9,8 @@ import pytest
 from mjx_grasp.errors import FileError, InputError
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.records.settings import to_record
-from mjx_grasp.tasks.config import (
-    ClosingTaskConfig,
-    RewardConfig,
-    StartNoise,
-    SuccessConfig,
-    task_from_record,
-)
+from mjx_grasp.tasks.config import ClosingTaskConfig, RewardConfig, StartNoise, SuccessConfig
+from mjx_grasp.tasks.record import task_from_record
 from mjx_grasp.training import config as training_config
 from mjx_grasp.training.config import preset_config, stored_config
 

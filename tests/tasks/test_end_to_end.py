@@ -17,16 +17,11 @@ from mjx_grasp.records.settings import to_record
 from mjx_grasp.sim.physics import Truth
 from mjx_grasp.tasks.assemble import World
 from mjx_grasp.tasks.closing import ClosingTask
-from mjx_grasp.tasks.config import (
-    ClosingTaskConfig,
-    EndToEndConfig,
-    RewardConfig,
-    StartNoise,
-    task_from_record,
-)
+from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig, RewardConfig, StartNoise
 from mjx_grasp.tasks.curriculum import CurriculumConfig
 from mjx_grasp.tasks.end_to_end import EndToEndTask, carried, in_object
 from mjx_grasp.tasks.observation import policy_sizes
+from mjx_grasp.tasks.record import task_from_record
 from mjx_grasp.tasks.task import PacedTask, Task
 from mjx_grasp.tasks.way_home import build_way_home, nearest_free
 

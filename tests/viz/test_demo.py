@@ -16,12 +16,14 @@ from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.steering import steer_to
 from mjx_grasp.objects.catalogue import load_catalogue
 from mjx_grasp.objects.model import object_mesh
-from mjx_grasp.pipeline.assemble import STEERED_SCORE
+from mjx_grasp.pipeline.known import STEERED_SCORE
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
 from mjx_grasp.viz.demo.config import DemoConfig
 from mjx_grasp.viz.demo.page import Shown, demo_page, verdict
+from mjx_grasp.viz.demo.place import place_of, steered_to
 from mjx_grasp.viz.demo.plots import Curves, Stage, forces_up_to, wrench_up_to
+from mjx_grasp.viz.demo.result import from_anchor, placed, tries_of
 from mjx_grasp.viz.demo.stage import FOCUS, Skin, stage_model
 from mjx_grasp.viz.heatmap import Subject
 
@@ -116,7 +118,7 @@ def test_the_page_says_where_a_grasp_was_not_what_was_asked_for():
 def test_contacts_are_as_asked_where_hardly_any_are_nearer_and_those_of_the_last_try_count():
     def found(*distances, best=12.5):
         tries = [{"start_s": 0.1 * k, "from_anchor_mm": mm} for k, mm in enumerate(distances)]
-        return run.placed(tries, best)
+        return placed(tries, best)
 
     assert found(50.0, 32.0) == {"from_anchor_mm": 32.0, "at_best_mm": 12.5, "as_asked": True}
     assert found(10.0)["as_asked"] is True
@@ -140,9 +142,9 @@ def test_tries_have_the_contacts_that_the_hand_closed_on_in_the_objects_frame(ro
         fingers, contacts.astype(np.float32), no, no, fingers, fingers, ticks > 0,
     )  # fmt: skip
     stages = [Stage("reaching", 0.0, 0.02), Stage("closing", 0.02, 0.04)]
-    (found,) = run._tries(stages, trace, scene, np.array([0.03, 0.0, 0.0]), 0.01)
+    (found,) = tries_of(stages, trace, scene, np.array([0.03, 0.0, 0.0]), 0.01)
     assert found == {"start_s": 0.02, "from_anchor_mm": 20.0}
-    assert run._tries(stages, trace, scene, None, 0.01)[0]["from_anchor_mm"] is None
+    assert tries_of(stages, trace, scene, None, 0.01)[0]["from_anchor_mm"] is None
 
 
 def test_an_object_too_heavy_for_friction_is_told_before_the_grasp():
@@ -153,8 +155,8 @@ def test_an_object_too_heavy_for_friction_is_told_before_the_grasp():
 
 def test_how_far_from_the_anchor_contacts_are_is_in_its_own_unit():
     contacts = np.array([[0.03, 0.0, 0.0], [0.0, -0.05, 0.0], [0.0, 0.0, 0.04]])
-    assert run.from_anchor(np.zeros(3), contacts) == 40.0
-    assert run.from_anchor(None, contacts) is None
+    assert from_anchor(np.zeros(3), contacts) == 40.0
+    assert from_anchor(None, contacts) is None
 
 
 def test_an_instruction_and_a_point_are_one_too_many():
@@ -174,10 +176,10 @@ def test_an_instruction_and_a_point_are_one_too_many():
 def test_an_anchor_far_from_the_object_is_refused_with_where_that_lies():
     box = handmade.box()  # ±30, ±20 and ±45 mm: as far away as 45 mm
     for near in ((0.074, 0.0, 0.0), (0.0, -0.064, 0.089)):
-        np.testing.assert_array_equal(run._place(box, DemoConfig(anchor=near)).point, near)
+        np.testing.assert_array_equal(place_of(box, DemoConfig(anchor=near)).point, near)
     for far in ((0.076, 0.0, 0.0), (0.0, -0.066, 0.0), (0.0, 0.0, 0.091), (20.0, 0.0, 50.0)):
         with pytest.raises(InputError, match=r"^--anchor: found \(.* near box.*0\.045\]") as error:
-            run._place(box, DemoConfig(anchor=far))
+            place_of(box, DemoConfig(anchor=far))
         assert error.value.found == far and "[m]" in error.value.expected
 
 
@@ -187,14 +189,14 @@ def test_the_place_is_to_blame_where_no_grasp_is_near_it_and_else_the_object(rob
     arrays = np.asarray(surface.vertices), np.asarray(surface.faces)
     heatmap = compute_heatmap(*arrays, None, (0.02, 0.09), 0.5)
     config = DemoConfig(anchor=(0.0, 0.0, 0.08), steering="between", sigma=0.002)
-    place = run._place(box, config)
+    place = place_of(box, config)
     with pytest.raises(InputError, match=r"^--anchor: found \(0\.0, 0\.0, 0\.08\).*--sigma"):
-        run._steered(heatmap, place, config, robot.hand)
+        steered_to(heatmap, place, config, robot.hand)
     best = heatmap.score_without_com.max()
     nothing = heatmap._replace(score_without_com=0.04 / best * heatmap.score_without_com)
     for asked, near in ((config, place), (DemoConfig(), None)):
         with pytest.raises(InputError, match=r"^object: found"):
-            run._steered(nothing, near, asked, robot.hand)
+            steered_to(nothing, near, asked, robot.hand)
 
 
 def refused(match, **settings):
@@ -235,7 +237,7 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
     on_stem = {}
     for steering in ("contacts", "axis"):
         config = DemoConfig(object="wine_glass", instruction="by the stem", steering=steering)
-        steered = run._steered(heatmap, run._place(glass, config), config, robot.hand)
+        steered = steered_to(heatmap, place_of(glass, config), config, robot.hand)
         expected = steer_to(heatmap, at, size, steering=steering)
         assert np.allclose(steered.score, expected / expected.max(), atol=1e-6)
         assert steered.score.max() == 1.0 and "part: stem" in steered.source
@@ -244,8 +246,8 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
         contacts = np.concatenate([heatmap.thumb[good, None], heatmap.wrap[good]], axis=1)
         on_stem[steering] = np.abs(contacts - at).max(axis=1) <= size / 2 + 1e-3
     assert on_stem["contacts"].all() and not on_stem["axis"].all()
-    assert run._place(glass, DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
-    assert run._place(glass, DemoConfig()) is None
+    assert place_of(glass, DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
+    assert place_of(glass, DemoConfig()) is None
 
 
 def test_the_axis_of_forces_shows_the_estimated_ones_too_but_for_spikes():

@@ -19,9 +19,9 @@ from mjx_grasp.heatmap.compute import compute_heatmap
 from mjx_grasp.heatmap.files import HeatmapInfo, StoredHeatmap
 from mjx_grasp.objects.config import Weight
 from mjx_grasp.objects.resting import RestingPose
-from mjx_grasp.pipeline.assemble import known_object
 from mjx_grasp.pipeline.config import GrasperConfig
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.pipeline.phases import Failure, Phase
 from mjx_grasp.reaching.config import HandoffGate
 from mjx_grasp.reaching.controller import Reacher

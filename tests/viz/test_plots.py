@@ -6,10 +6,10 @@ import pytest
 from PIL import Image
 
 from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.evaluation.conditions import Column
 from mjx_grasp.evaluation.front_tables import fronts
 from mjx_grasp.evaluation.results import ResultRow
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.evaluation.tables import Column
 from mjx_grasp.viz.plots import (
     read_metrics,
     success_against_force,

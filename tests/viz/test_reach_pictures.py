@@ -25,7 +25,7 @@ import numpy as np
 
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.evaluation.reach.poses import draw_poses
-from mjx_grasp.evaluation.reach.sweep import empty_record
+from mjx_grasp.evaluation.reach.record import empty_record
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.viz.frames import BackendError
 from renderer import check_backend

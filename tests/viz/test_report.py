@@ -10,9 +10,9 @@ from browser import browsing
 from PIL import Image
 
 from mjx_grasp.errors import FileError
+from mjx_grasp.evaluation.conditions import BEGAN_WITH
 from mjx_grasp.evaluation.results import ResultRow, write_results
 from mjx_grasp.evaluation.statistics import wilson_interval
-from mjx_grasp.evaluation.tables import BEGAN_WITH
 from mjx_grasp.robot.identity import FIRST_ROBOT
 from mjx_grasp.viz.report import write_report
 

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.mjcf import robot_mjspec
-from mjx_grasp.robot.spec import RobotSpec
 
 
 def hits(

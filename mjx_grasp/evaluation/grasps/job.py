@@ -26,7 +26,8 @@ from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import unspread
-from mjx_grasp.robot.spec import RobotSpec, load_robot
+from mjx_grasp.robot.description import RobotSpec
+from mjx_grasp.robot.spec import load_robot
 
 SCHEMA = "mjx_grasp.scenarios/1"
 _PERCENT = 100

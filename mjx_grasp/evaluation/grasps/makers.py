@@ -18,13 +18,13 @@ from mjx_grasp.evaluation.grasps.scenario import Scenario
 from mjx_grasp.evaluation.grasps.trials import GraspProblem, home_tips
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.pipeline.assemble import check_graspable, known_objects
 from mjx_grasp.pipeline.grasper import Grasper
+from mjx_grasp.pipeline.known import check_graspable, known_objects
 from mjx_grasp.pipeline.state import Known
 from mjx_grasp.posture.library import Library
 from mjx_grasp.reaching.approach import Approach
 from mjx_grasp.reaching.planning import start_library
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.sim.engines import make_physics
 from mjx_grasp.sim.physics import Physics
 from mjx_grasp.sim.scene import Scene, build_scene

@@ -13,7 +13,7 @@ from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.pipeline.assemble import grasper_of, whole_grasps
 from mjx_grasp.pipeline.grasper import Grasper
 from mjx_grasp.reaching.approach import Approach
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.tasks.config import ClosingTaskConfig, EndToEndConfig
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 
 from mjx_grasp.evaluation.reach.poses import CylinderPoses
-from mjx_grasp.evaluation.reach.sweep import BUDGETS, TOLERANCES, ReachRecord, share_converged
+from mjx_grasp.evaluation.reach.record import BUDGETS, TOLERANCES, ReachRecord, share_converged
 from mjx_grasp.posture.body import Body
 from mjx_grasp.reaching.config import LimitConfig
 from mjx_grasp.records.table import Table

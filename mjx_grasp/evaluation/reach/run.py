@@ -16,8 +16,9 @@ from rich.console import Console
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.evaluation.reach.poses import CylinderPoses, SweepConfig, draw_poses
+from mjx_grasp.evaluation.reach.record import ReachRecord
 from mjx_grasp.evaluation.reach.results import classify, summary
-from mjx_grasp.evaluation.reach.sweep import ReachRecord, plan_all, plan_keys, sweep
+from mjx_grasp.evaluation.reach.sweep import plan_all, plan_keys, sweep
 from mjx_grasp.posture.body import robot_body
 from mjx_grasp.reaching.controller import Reacher
 from mjx_grasp.reaching.plan_config import PlanConfig
@@ -29,7 +30,7 @@ from mjx_grasp.records.journal import Journal, journaled
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.records.spread import Spread, spread, unspread
-from mjx_grasp.robot.spec import RobotSpec
+from mjx_grasp.robot.description import RobotSpec
 
 _ON_CPU = 128
 """Poses worked on at once."""

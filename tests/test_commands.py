@@ -254,7 +254,7 @@ def test_evaluate_writes_rows_of_the_stated_condition(tmp_path):
     results = read_results(out)
     (row,) = results.rows
     assert (row.object, row.episodes, row.squeeze_force_n) == ("foam_brick", 3, 4.0)
-    assert (row.offset_mm, row.angle_deg, row.friction, row.handoffs) == (2.0, 3.0, 0.6, "ik")
+    assert (row.offset_mm, row.angle_deg, row.friction, row.handoffs) == (2.0, 3.0, 0.6, "reached")
     assert row.successes + row.never_lifted + row.not_held + row.slipped == 3
     assert results.provenance["seed"] == 5
     assert (results.extra["overflows"], results.extra["broken_worlds"]) == (0, 0)

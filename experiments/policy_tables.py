@@ -450,11 +450,13 @@ def _changes(row: dict[str, Any], other: dict[str, Any]) -> list[str]:
     """In words each setting in which a training differs from another one, start states too."""
     mine, theirs = (each["trained"] for each in (row, other))
     changes = {}
-    if mine["sha256"] != theirs["sha256"]:
-        _, _, states = mine["command"].partition("--handoffs ")
-        changes["handoffs"] = f"`{states.split()[0]}`"
+    if mine["sha256"].get("handoffs") != theirs["sha256"].get("handoffs"):
+        words = [*shlex.split(mine["command"]), ""]
+        given = words.index("--handoffs") + 1 if "--handoffs" in words else -1
+        changes["handoffs"] = f"`{words[given]}`" if words[given] else "its own"
     same = other["changes"].items()
     changes |= {k: value for k, value in row["changes"].items() if (k, value) not in same}
+    changes |= {k: "as the preset" for k in other["changes"] if k not in row["changes"]}
     return [f"`{name}` {_said(value)}" for name, value in changes.items()]
 
 

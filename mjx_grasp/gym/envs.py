@@ -180,10 +180,15 @@ def _whole(seed: Any, most_axes: int) -> Any:
     Raises:
         InputError: They are not.
     """
-    found = np.asarray(seed)
-    if found.ndim > most_axes or found.dtype.kind not in "iu" or (found < 0).any():
-        each = " or one per world" if most_axes else ""
-        raise InputError("seed", seed, f"a whole number, 0 or more{each}")
+    each = " or one per world" if most_axes else ""
+    expected = f"a whole number, 0 or more{each}"
+    try:
+        found = np.asarray(seed)
+    except ValueError:  # rows of different lengths
+        raise InputError("seed", seed, expected) from None
+    whole = found.dtype.kind in "iu" and not (found < 0).any() and not (found >= 2**63).any()
+    if found.ndim > most_axes or not whole:
+        raise InputError("seed", seed, expected)
     return found.tolist()
 
 

@@ -13,13 +13,13 @@ from mjx_grasp.objects.model import ObjectModel
 
 
 class ShippedSet(NamedTuple):
-    """A set of reached states in `assets/`, by the settings of `handoffs` but for these."""
+    """A set of reached states in `assets/`, made by the settings that `handoffs` has by default."""
 
     file: str
     scans: bool
     """of real scans; else of stand-ins"""
     per_object: int
-    """as many as each object has, unless fewer were found"""
+    """how many of each object were looked for; in a few rounds, of some fewer were found"""
 
     @property
     def path(self) -> Path:
@@ -40,8 +40,8 @@ _ASKED = ("objects", "objects_dir", "out", "seed", "per_object", "kind", "proces
 def shipped_for(wanted: HandoffConfig, objects: Sequence[ObjectModel]) -> Path | None:
     """The first shipped set that would do in a set's place: of its objects, kind and settings.
 
-    It has at least as many states as are wanted of each object, or all that were found. Whatever
-    the seed, the states are the same.
+    It has at least as many states as are wanted of each object, or all of so many that were found.
+    Whatever the seed, the states are the same.
 
     Args:
         wanted: What would be made.
@@ -59,10 +59,17 @@ def shipped_for(wanted: HandoffConfig, objects: Sequence[ObjectModel]) -> Path |
         return None
     hashes = {obj.name: obj.content_hash for obj in objects}
     for each in SHIPPED:
-        if each.scans == (wanted.objects_dir is None) or each.per_object < wanted.per_object:
+        if each.scans == (wanted.objects_dir is None):
             continue
         stored = load_handoffs(each.path)
         there = zip(stored.object_names, stored.object_content_hash, strict=True)
         if hashes.items() <= set(there):
-            return each.path
+            counts = stored.counts()
+            if all(_enough(counts[name], each, wanted.per_object) for name in hashes):
+                return each.path
     return None
+
+
+def _enough(count: int, each: ShippedSet, wanted: int) -> bool:
+    """Whether an object's states are as many as are wanted, or all of so many that there were."""
+    return count > 0 and max(count, each.per_object) >= wanted

@@ -28,6 +28,8 @@ _VERSION = 3
 """1: one item `state` with everything, and a manifest of the files alone. 2: no mean of weights."""
 _STEM = "iteration_"
 _NAME = re.compile(rf"^{_STEM}(\d+)$")
+_OWN = re.compile(rf"^{_STEM}\d+(\.orbax-checkpoint-tmp.*)?$")
+"""Also while they are written."""
 
 
 def save_checkpoint(
@@ -73,7 +75,7 @@ def save_checkpoint(
         write_json(path / _MANIFEST, manifest)
         kept = set(checkpoints(folder)[-keep:])
         for other in folder.iterdir():  # older ones, and what a kill has left
-            if other.name.startswith(_STEM) and other not in kept:
+            if _OWN.match(other.name) and other.is_dir() and other not in kept:
                 shutil.rmtree(other)
     env.devices.wait(f"after {path.name}")
     return path

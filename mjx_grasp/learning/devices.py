@@ -22,9 +22,6 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.records.settings import CommandSettings, Count, WholeNumber
 
 AXIS = "devices"
-_EVALUATES_S = 24 * 3600
-"""JAX stops all processes where they do not end within so long of each other, and the first one
-evaluates what all have trained [s]"""
 
 
 @dataclass(frozen=True)
@@ -153,6 +150,14 @@ class Devices:
         if jax.process_count() > 1:
             multihost_utils.sync_global_devices(name)
 
+    def part(self) -> None:
+        """Ends what joins several processes, which all have to call this: each is alone then.
+
+        JAX stops all that do not end within minutes of each other, while one may still evaluate.
+        """
+        if jax.process_count() > 1:
+            jax.distributed.shutdown()
+
 
 ONE_DEVICE = Devices()
 
@@ -170,9 +175,7 @@ def join_hosts(run_on: RunOn) -> None:
         return
     address = None if run_on.coordinator == "auto" else run_on.coordinator
     try:
-        jax.distributed.initialize(
-            address, run_on.processes, run_on.process, shutdown_timeout_seconds=_EVALUATES_S
-        )
+        jax.distributed.initialize(address, run_on.processes, run_on.process)
     except (ValueError, RuntimeError) as error:
         what = f"{run_on.coordinator} ({str(error).strip().splitlines()[0]})"
         expected = "HOST:PORT with --processes and --process, or auto within SLURM or Open MPI"

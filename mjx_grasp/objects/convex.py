@@ -14,8 +14,8 @@ from mjx_grasp.objects.repair import split
 from mjx_grasp.objects.surface import outside_distance, sample_surface
 from mjx_grasp.records.settings import Count, NonNegative, Range, Seed, Settings
 
-_NEIGHBOURS = 4
-"""of a component, with which it may be put together"""
+_TRIED, _LEAST_TRIED = 4096, 4
+"""Hulls that are tried for each of n components, times n; and at least so many."""
 
 
 @dataclass(frozen=True)
@@ -183,22 +183,25 @@ def _decomposed(
 def _gathered(parts: list[trimesh.Trimesh], limit: int) -> list[trimesh.Trimesh]:
     """At most ``limit`` meshes of the components.
 
-    While there are more, the one of the smallest hull joins that of its neighbours with which a
-    common hull encloses the least volume besides the two.
+    While there are more, the one of the smallest hull joins that with which a common hull encloses
+    the least volume besides the two; where there are very many, of the nearest by their boxes.
     """
     groups, hulls = [[part] for part in parts], [part.convex_hull for part in parts]
     volume = np.array([hull.volume for hull in hulls])
-    centre = np.array([hull.centroid for hull in hulls])
+    low, high = np.stack([hull.bounds for hull in hulls], axis=1)
     while len(groups) > limit:
         k = int(np.argmin(volume))
-        smallest, own, at = groups.pop(k), hulls.pop(k), centre[k]
-        volume, centre = np.delete(volume, k), np.delete(centre, k, axis=0)
-        near = np.argsort(np.linalg.norm(centre - at, axis=1), kind="stable")[:_NEIGHBOURS]
+        smallest, own, begin, end = groups.pop(k), hulls.pop(k), low[k], high[k]
+        volume, low, high = (np.delete(of, k, axis=0) for of in (volume, low, high))
+        gap = np.linalg.norm(np.maximum(np.maximum(low - end, begin - high), 0.0), axis=1)
+        tried = max(_TRIED // len(groups), _LEAST_TRIED)
+        near = np.argsort(gap, kind="stable")[:tried]
         common = [_joined([hulls[j], own]).convex_hull for j in near]
         best = int(np.argmin([both.volume for both in common] - volume[near]))
         j = int(near[best])
         groups[j] += smallest
-        hulls[j], volume[j], centre[j] = common[best], common[best].volume, common[best].centroid
+        hulls[j], volume[j] = common[best], common[best].volume
+        low[j], high[j] = common[best].bounds
     return [_joined(group) for group in groups]
 
 

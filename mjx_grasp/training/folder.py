@@ -46,16 +46,43 @@ def check_same_files(config: TrainConfig) -> None:
     """
     if config.resume is None:
         return
-    path, expected = config.resume / "provenance.json", "the provenance of the run to resume"
-    made_of = read_json(path, expected).get("sha256", {})
-    if not (isinstance(made_of, dict) and all(isinstance(x, str) for x in made_of.values())):
-        raise FileError(path, f"sha256 = {made_of!r}", expected)
+    path, made_of = config.resume / "provenance.json", _began_with(config.resume)
     given = {"handoffs": config.handoffs, "start_from": start_file(config)}
     for name, digest in file_digests(**given).items():
         if digest != made_of.get(name, digest):
             what = f"the file that {config.resume} began with (SHA-256 {made_of[name][:12]})"
             found = f"a changed file (SHA-256 {digest[:12]})"
             raise FileError(given[name] or path, found, what)
+
+
+def _began_with(folder: Path) -> dict[str, str]:
+    """Digests of the files that a run began with."""
+    path, expected = folder / "provenance.json", "the provenance of the run to resume"
+    made_of = read_json(path, expected).get("sha256", {})
+    if not (isinstance(made_of, dict) and all(isinstance(x, str) for x in made_of.values())):
+        raise FileError(path, f"sha256 = {made_of!r}", expected)
+    return made_of
+
+
+def as_begun(config: TrainConfig, shipped: Path | None) -> Path | None:
+    """The shipped set that a run copies; a run that is resumed, only the one that it began with.
+
+    Args:
+        config: The run's.
+        shipped: The set that would do.
+
+    Raises:
+        FileError: It began with another, and has no copy of it yet.
+    """
+    if config.resume is None:
+        return shipped
+    began = _began_with(config.resume).get("shipped_handoffs")
+    if began is None or (config.resume / "handoffs.npz").exists():
+        return None
+    if shipped is None or file_digests(shipped=shipped)["shipped"] != began:
+        found = f"no copy of the start states that it began with (SHA-256 {began[:12]})"
+        raise FileError(config.resume, found, "a run that has one: other states ship now")
+    return shipped
 
 
 def check_same_terms(config: TrainConfig, extra_terms: Sequence[RewardTerm]) -> None:

@@ -36,6 +36,7 @@ from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.after import evaluate_run
 from mjx_grasp.training.config import TrainConfig
 from mjx_grasp.training.folder import (
+    as_begun,
     check_same_files,
     check_same_terms,
     discard_run,
@@ -114,6 +115,7 @@ def run_together(
     world = None if stored is None else _build(scene, stored, first, console)
     wanted = handoffs_wanted(first, folders[0])
     shipped = shipped_for(wanted, scene.objects) if stored is None else None
+    shipped = as_begun(first, shipped)
     devices.wait("every process has looked at the folder")
     for config, folder, command in zip(
         configs, folders, commands or [None] * len(configs), strict=True
@@ -246,7 +248,9 @@ def _run(
             state = begin_from(run.begin, ppo, env, state)
         members.append(Member(run.folder, state, to_record(run.config)))
     states = train_together(members, env, ppo, config.loop)
-    if not devices.writes:
+    writes = devices.writes
+    devices.part()
+    if not writes:
         return
     for run, state in zip(runs, states, strict=True):
         _save_policy(run.folder, state, run.config, names, world.scene.robot.identity)

@@ -10,6 +10,7 @@ from mjx_grasp.errors import FileError
 from mjx_grasp.learning.checkpoint import checkpoints
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.training.plan import Run
+from mjx_grasp.training.start import START
 
 COMMAND = ("python", "-m", "mjx_grasp.train")
 """What begins a training, before its flags."""
@@ -78,7 +79,7 @@ def _clear(folder: Path) -> None:
     """
     if not folder.exists():
         return
-    opened = ("config.json", "handoffs", ".")
+    opened = (START, "config.json", "handoffs", ".")
     if others := sorted(p.name for p in folder.iterdir() if not p.name.startswith(opened)):
         raise FileError(folder, f"{others[0]} and no training", "a training, or no such folder")
     shutil.rmtree(folder)

@@ -17,7 +17,7 @@ from mjx_grasp.objects.model import stand_in_hash
 from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import file_digests
 from mjx_grasp.training.config import settings_of
-from mjx_grasp.training.folder import open_run
+from mjx_grasp.training.folder import as_begun, open_run
 from mjx_grasp.training.start import handoffs_wanted, made_handoffs
 
 CUBE, STAND_INS, SCANS = (each.path for each in SHIPPED)
@@ -58,6 +58,11 @@ def test_scans_begin_with_states_of_the_very_same_scans(robot):
     there = dict(zip(stored.object_names, stored.object_content_hash, strict=True))
     objects = [SimpleNamespace(name=n, content_hash=there[n]) for n in resolve(config.objects)]
     assert shipped(config, objects) == SCANS
+    assert shipped(replace(settings_of("cpu"), objects_dir=Path("scans")), [objects[2]]) == SCANS
+    few = SimpleNamespace(name="bowl", content_hash=there["bowl"])
+    assert shipped(config, [few]) == SCANS, "all that were found"
+    none = SimpleNamespace(name="mini_soccer_ball", content_hash=there["mini_soccer_ball"])
+    assert shipped(config, [few, none]) is None, "none were found"
     objects[-1].content_hash = "another"
     assert shipped(config, objects) is None
     assert shipped(replace(config, objects_dir=None), objects) is None
@@ -80,6 +85,20 @@ def test_a_run_says_by_their_digest_that_it_began_with_the_shipped_states(cpu, t
 
     assert digests(CUBE)["shipped_handoffs"] == file_digests(x=CUBE)["x"]
     assert "shipped_handoffs" not in digests(None)
+
+
+def test_a_resumed_run_copies_only_what_it_began_with(cpu, tmp_path):
+    began, made = tmp_path / "began", tmp_path / "made"
+    for folder, file in ((began, CUBE), (made, None)):
+        folder.mkdir()
+        open_run(cpu, folder, None, file, None, ())
+    resumed = replace(cpu, resume=began)
+    assert as_begun(cpu, CUBE) == CUBE == as_begun(resumed, CUBE)
+    with pytest.raises(FileError, match="began: found no copy of the start states"):
+        as_begun(resumed, STAND_INS)
+    (began / "handoffs.npz").touch()
+    assert as_begun(resumed, STAND_INS) is None, "it has its copy"
+    assert as_begun(replace(cpu, resume=made), CUBE) is None, "it was making its own"
 
 
 def test_a_damaged_set_is_named(cpu, tmp_path, monkeypatch):

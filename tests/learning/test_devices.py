@@ -133,11 +133,14 @@ def test_two_processes_train_together_and_one_goes_on_alone(tmp_path):
 
 @pytest.mark.long
 def test_two_processes_train_in_mjx(tmp_path):
-    """Each has the model on a device of its own, and none waits for one that is gone."""
+    """Each has the model on a device of its own, and none waits for one that is gone.
+
+    Once all have trained they part, and the first one evaluates alone.
+    """
     flags = (
         "--preset cpu --engine mjx --objects foam_brick --handoffs assets/handoffs_standins.npz "
         "--ppo.worlds 16 --ppo.minibatches 4 --ppo.unroll 4 --ppo.iterations 2 "
-        f"--evaluation-episodes 0 --coordinator localhost:{free_port()} --processes 2"
+        f"--evaluation-episodes 1 --coordinator localhost:{free_port()} --processes 2"
     )
     out = tmp_path / "run"
     command = [sys.executable, "-m", "mjx_grasp.train", *flags.split(), "--out", str(out)]
@@ -153,13 +156,14 @@ def test_two_processes_train_in_mjx(tmp_path):
         for k in range(2)
     ]
     try:
-        for process in started:
-            said, _ = process.communicate(timeout=200)  # they wait for each other without an end
+        for process in reversed(started):
+            said, _ = process.communicate(timeout=400)  # they wait for each other without an end
             assert process.returncode == 0, said
     finally:
         for process in started:
             process.kill()
     assert len((out / "metrics.csv").read_text().splitlines()) == 3
+    assert (out / "results.json").exists()
 
 
 @pytest.mark.long
@@ -216,13 +220,6 @@ def test_several_devices_keep_the_state_beside_the_next_unless_told_otherwise(mo
     assert find_devices(RunOn(devices=2, donate=True)).donates
     assert find_devices(RunOn(devices=1)).donates
     assert not find_devices(RunOn(devices=1, donate=False)).donates
-
-
-def test_no_process_is_stopped_while_the_first_one_evaluates(monkeypatch):
-    told = {}
-    monkeypatch.setattr(jax.distributed, "initialize", lambda *_, **more: told.update(more))
-    join_hosts(RunOn(coordinator="here:1234", processes=2, process=0))
-    assert told["shutdown_timeout_seconds"] >= 3600, "JAX would end all of them after minutes"
 
 
 def test_processes_without_a_meeting_place_are_refused():

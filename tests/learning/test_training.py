@@ -255,9 +255,12 @@ def test_unfinished_checkpoints_are_not_taken_for_finished_ones(env, trained, tm
 def test_what_a_kill_has_left_of_checkpoints_goes_with_the_next_one(env, trained, tmp_path):
     for name in ("iteration_00000099", "iteration_00000098.orbax-checkpoint-tmp"):
         (tmp_path / name / "learner").mkdir(parents=True)
-    (tmp_path / "notes").mkdir()
+    others = {"notes", "iteration_00000001_best", "iteration_notes.txt"}
+    for name in others - {"iteration_notes.txt"}:
+        (tmp_path / name).mkdir()
+    (tmp_path / "iteration_notes.txt").touch()
     save_checkpoint(tmp_path, trained[0][1], env, tiny.CONFIG)
-    assert {p.name for p in tmp_path.iterdir()} == {"iteration_00000001", "notes"}
+    assert {p.name for p in tmp_path.iterdir()} == {"iteration_00000001", *others}
 
 
 def data_files(path):

@@ -273,6 +273,7 @@ def test_a_training_begins_goes_on_or_is_left_alone(tmp_path, trainings):
     folder.mkdir()
     (folder / "config.json").touch()
     (tmp_path / "run" / "handoffs.npz").touch()
+    (tmp_path / "run" / "start.npz").touch()
     train()
     argv, command = trainings.pop()
     assert argv == ["--seed", "1", "--out", str(folder)]

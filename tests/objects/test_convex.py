@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from mjx_grasp.objects import convex
 from mjx_grasp.objects.convex import ConvexConfig, Division, Piece, convex_pieces, outward_error
 from mjx_grasp.objects.hulls import hull_mesh, reduced_hull
 from mjx_grasp.objects.parametric import stand_in
@@ -163,6 +164,20 @@ def test_twenty_components_share_twelve_pieces():
         np.testing.assert_array_equal(cells, np.arange(cells[0], cells[-1] + 1))  # neighbours
         corners = np.concatenate([cubes[k] for k in cells])
         assert piece.surface().volume == pytest.approx(trimesh.convex.convex_hull(corners).volume)
+
+
+def test_what_stands_on_a_body_is_not_gathered_across_it():
+    """The studs of a tray are nearer to it than to each other, whatever its middle is."""
+    tray = trimesh.creation.box(extents=(0.2, 0.15, 0.01))
+    studs = [
+        trimesh.creation.cylinder(radius=0.004, height=0.005).apply_translation((x, y, 0.0075))
+        for x in np.linspace(-0.09, 0.09, 8)
+        for y in np.linspace(-0.06, 0.06, 6)
+    ]
+    parts = convex._gathered([tray, *studs], 12)
+    assert len(parts) == 12
+    own = sum(part.volume for part in (tray, *studs))
+    assert sum(part.convex_hull.volume for part in parts) < 1.1 * own
 
 
 def test_a_large_component_stays_alone_while_small_ones_are_gathered():

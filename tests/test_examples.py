@@ -56,7 +56,7 @@ def test_where_no_finger_fits_above_the_table_the_example_says_so(tmp_path, caps
     path = tmp_path / "plate.stl"
     trimesh.creation.box((0.06, 0.06, 0.012)).export(path)
     example("own_mesh").main([str(path)])
-    assert capsys.readouterr().out.count("less than 15 mm above the table") == 2
+    assert capsys.readouterr().out.count("at least 15 mm above the table") == 2
 
 
 @pytest.mark.parametrize("name", ["own_reward", "gym_training"])

@@ -41,7 +41,7 @@ def shipped_for(wanted: HandoffConfig, objects: Sequence[ObjectModel]) -> Path |
     """The first shipped set that would do in a set's place: of its objects, kind and settings.
 
     It has at least as many states as are wanted of each object, or all of so many that were found.
-    Whatever the seed, the states are the same.
+    Whatever the seed, the states are the same. They may be of an earlier revision of the code.
 
     Args:
         wanted: What would be made.

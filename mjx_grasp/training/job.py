@@ -249,13 +249,13 @@ def _run(
         members.append(Member(run.folder, state, to_record(run.config)))
     states = train_together(members, env, ppo, config.loop)
     writes = devices.writes
+    if writes:
+        for run, state in zip(runs, states, strict=True):
+            _save_policy(run.folder, state, run.config, names, world.scene.robot.identity)
     devices.part()
-    if not writes:
-        return
-    for run, state in zip(runs, states, strict=True):
-        _save_policy(run.folder, state, run.config, names, world.scene.robot.identity)
-        if config.evaluation_episodes:
-            _, _, held_out = with_states(names, handoffs, "evaluation")
+    if writes and config.evaluation_episodes:
+        _, _, held_out = with_states(names, handoffs, "evaluation")
+        for run in runs:
             evaluate_run(run.folder, run.config, world, held_out, console, run.command)
 
 

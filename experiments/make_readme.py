@@ -17,6 +17,7 @@ import closing_tables
 import end_to_end_tables
 import grasp_tables
 import object_tables
+import paper_ablation_tables
 import paper_tables
 import pipeline_tables
 import policy_tables
@@ -138,7 +139,7 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
                 [folder / "paper_preset" / f"{name}.json" for name in ("eight", "conditions")]
             ),
             "grip-sweep": closing_tables.grip_sweep(folder / "grip" / "sweep.json"),
-            "paper-ablation": policy_tables.paper_ablation(folder / "paper_ablation.json"),
+            "paper-ablation": paper_ablation_tables.paper_ablation(folder / "paper_ablation.json"),
             "end-to-end-runs": end_to_end_tables.trainings(folder),
             "end-to-end": end_to_end_tables.success_from_home(folder),
             "pose-errors": paper_tables.pose_errors(folder / "pose_error.json"),

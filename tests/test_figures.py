@@ -128,7 +128,7 @@ def test_steered_grasps_are_shown_from_home_to_the_hold(tmp_path, monkeypatch):
 
 def test_settings_of_the_published_preset_stand_beside_each_other(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "experiments")
-    table = script("policy_tables").paper_ablation
+    table = script("paper_ablation_tables").paper_ablation
 
     def row(name, seed, nominal, changes, states="own.npz"):
         judged = {"trials": 8, "force_mean_n": 2.0 + seed}

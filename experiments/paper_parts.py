@@ -211,7 +211,7 @@ PARTS = (
         (
             "experiments/evaluate_controllers.py --engine mjx --objects-dir SCANS "
             "--conditions nominal hard --force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 "
-            "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 128 "
+            "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 448|128 "
             "--out experiments/results/engines/eight.json",
         ),
         without_gpu="MJX takes days for them on a few cores",

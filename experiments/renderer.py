@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 
 from mjx_grasp.viz.frames import BackendError
+from mjx_grasp.viz.rendering import BACKENDS, INSTALL, RenderError
 
 
 def check_backend() -> None:
@@ -22,3 +26,20 @@ def check_backend() -> None:
                 renderer.render()
     except Exception as error:
         raise BackendError(f"{type(error).__name__}: {error}") from error
+
+
+def check_films() -> None:
+    """Finds out whether a process beside this one, as those that make films, can render.
+
+    Raises:
+        RenderError: No backend works here.
+    """
+    for backend in BACKENDS:
+        env = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+        if not subprocess.run([sys.executable, __file__], env=env, capture_output=True).returncode:
+            return
+    raise RenderError(f"no renderer works here ({', '.join(BACKENDS)}). To get one, {INSTALL}")
+
+
+if __name__ == "__main__":
+    check_backend()

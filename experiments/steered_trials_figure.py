@@ -17,6 +17,7 @@ import imageio.v3 as iio
 import numpy as np
 import tyro
 from PIL import Image, ImageDraw, ImageFont
+from renderer import check_films
 from rich.console import Console
 from small_png import write_png
 
@@ -67,6 +68,7 @@ def main(config: TrialsConfig) -> None:
     """Grasps, draws, writes."""
     check_writable("--out", config.out)
     check_writable("--results", config.results)
+    check_films()  # pictures come last, after minutes
     made, console = provenance(config.seed), Console(stderr=True)
     identity = to_record(config) | {"device": made["device"]}
     journal = Journal(config.results, identity, made["git"])

@@ -28,6 +28,7 @@ from mjx_grasp.records.provenance import provenance
 from mjx_grasp.robot.spec import load_robot
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.training.config import settings_of
+from mjx_grasp.viz.rendering import RenderError
 
 ROOT = Path(__file__).resolve().parent.parent
 IDENTITY = np.float32([1.0, 0.0, 0.0, 0.0])
@@ -87,6 +88,17 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
         script("policy_tables").ablation(path)
 
 
+def test_a_figure_of_films_asks_for_a_renderer_before_the_first_grasp(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    module, asked = script("steered_trials_figure"), []
+    monkeypatch.setattr(sys.modules["renderer"], "BACKENDS", ("none",))
+    monkeypatch.setattr(module, "run_demo", lambda *of: asked.append(of))
+    config = module.TrialsConfig(out=tmp_path / "t.png", results=tmp_path / "t.json")
+    with pytest.raises(RenderError, match="no renderer works here"):
+        module.main(config)
+    assert not asked and not list(tmp_path.iterdir())
+
+
 def test_steered_grasps_are_shown_from_home_to_the_hold(tmp_path, monkeypatch):
     """Poses are tried until one succeeds, and what came of each is said."""
     monkeypatch.syspath_prepend(ROOT / "experiments")
@@ -106,6 +118,7 @@ def test_steered_grasps_are_shown_from_home_to_the_hold(tmp_path, monkeypatch):
         return about | {"grasp": {"outcome": "success" if success else "not_held"}}
 
     film = [np.full((48, 64, 3), k, np.uint8) for k in range(100)]
+    monkeypatch.setattr(module, "check_films", lambda: None)
     monkeypatch.setattr(module, "run_demo", run_demo)
     monkeypatch.setattr(module.iio, "imiter", lambda path: iter(film))
     monkeypatch.setattr(module, "CASES", (("mug", "by the handle"), ("wine_glass", "by the stem")))

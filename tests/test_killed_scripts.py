@@ -126,6 +126,7 @@ def steered_trials_figure(monkeypatch):
         grasp = {"outcome": "success" if success else "not_held"}
         return found | {"phases": phases, "grasp": grasp}
 
+    monkeypatch.setattr(module, "check_films", lambda: None)
     monkeypatch.setattr(module, "run_demo", run_demo)
     monkeypatch.setattr(module.iio, "imiter", lambda path: iter(film[path]))
     monkeypatch.setattr(module, "CASES", (("mug", "by the handle"), ("wine_glass", "by the stem")))

@@ -107,7 +107,9 @@ def sections(root: Path) -> dict[Path, dict[str, str]]:
             "seeds-together": speed_tables.together(sorted(folder.glob("seeds_*.json"))),
             "tuned": speed_tables.tuned(sorted(folder.glob("tune_*.json")), on_devices),
             "heatmap": speed_tables.heatmap_speed(sorted(folder.glob("heatmap_*.json"))),
-            "reach": reach_tables.reach_rates(folder / "reach_sweep_cpu.json"),
+            "reach": reach_tables.reach_rates(
+                folder / "reach_sweep_cpu.json", folder / "reach_ablation.json"
+            ),
             "objects": object_tables.objects(folder / "objects" / "reached.json"),
             "objects-trained": object_tables.trained(
                 folder / "objects" / "evaluation_states.json",

@@ -16,29 +16,40 @@ from mjx_grasp.evaluation.reach.results import PAPER_HANDOFF_MM, PAPER_RATE
 from mjx_grasp.records.table import Table
 
 
-def reach_rates(path: Path) -> str:
-    """The sweep beside the publication's, and the tip errors at handoff."""
-    d = read(path)
+def reach_rates(path: Path, presets: Path) -> str:
+    """The sweep and the preset `paper` beside the publication's, and the tip errors at handoff.
+
+    Args:
+        path: The sweep.
+        presets: The ablation, one of whose rows is the preset, of its own number of poses. Without
+            it the preset is left out.
+    """
+    d, others = read(path), read(presets)
     if d is None:
         return NOTHING
-    ours, published = d["rate_percent"], d["paper_rate_percent"]
-    budgets = list(next(iter(ours.values())))
+    sweeps, poses = {"ours": d}, f"{d['poses']:,} random cylinder poses"
+    if others is not None:
+        sweeps["preset `paper`"] = others["rows"]["paper"]
+        if others["poses"] != d["poses"]:
+            poses += f" (preset: {others['poses']:,})"
+    names = " / ".join((*sweeps, "published"))
+    columns = *(sweep["rate_percent"] for sweep in sweeps.values()), d["paper_rate_percent"]
+    budgets = list(next(iter(columns[0].values())))
     rows = tuple(
-        (f"{mm} mm", *(f"{ours[mm][b]:.1f} / {published[mm][b]:.1f}" for b in budgets))
-        for mm in ours
+        (f"{mm} mm", *(" / ".join(f"{rate[mm][b]:.1f}" for rate in columns) for b in budgets))
+        for mm in columns[0]
     )
     rates = Table("Reach", ("tolerance", *(f"{b} s" for b in budgets)), rows)
-    tips, safe = d["handoff_mm"], d["limits"]["safe"]
-    started = d["rate_percent_since_start"]["20"]
-    errors = ", ".join(
-        f"{name} {tips[name]['mean']:.1f} ± {tips[name]['std']:.1f} "
-        f"(paper {tips[name]['paper'][0]:.1f} ± {tips[name]['paper'][1]:.1f})"
-        for name in ("thumb", "index", "middle", "midpoint")
-    )
+    safe, started = d["limits"]["safe"], d["rate_percent_since_start"]["20"]
+    errors = []
+    for name, published in PAPER_HANDOFF_MM.items():
+        tips = [sweep["handoff_mm"][name] for sweep in sweeps.values()]
+        spreads = *((tip["mean"], tip["std"]) for tip in tips), published
+        errors.append(f"{name} {' / '.join(f'{mean:.1f} ± {std:.1f}' for mean, std in spreads)}")
     return "\n\n".join(
         (
-            f"Reaches that converged, in % (ours / paper), of {d['poses']:,} random cylinder "
-            "poses, by tolerance and fine-adjustment time; a solution exists for "
+            f"Reaches that converged, in % ({names}), of {poses}, by tolerance and "
+            "fine-adjustment time; a solution exists for "
             f"{d['solvable_percent']['20']:.1f} %. That timer runs while all tips are within "
             "140 mm, and the hand aligns before it comes so near. Counted from the start of the "
             f"motion, {started['1']:.1f} % are within 20 mm after 1 s, {started['2']:.1f} % after "
@@ -46,7 +57,7 @@ def reach_rates(path: Path) -> str:
             "when the tips were first within 140 mm, with a timer that a retreat does not set "
             f"back, {d['rate_percent_since_first_near']['20']['3']:.1f} %:",
             markdown(rates),
-            f"Tip errors at handoff in mm: {errors}.",
+            f"Tip errors at handoff in mm ({names}): {'; '.join(errors)}.",
             f"Of {safe['reaches']:,} reaches that started at a safe distance none came nearer to "
             f"the object than {safe['least_object_distance_mm']:.1f} mm on any tick ("
             f"{1e3 * asked_clearance(d):.0f} mm are asked for), "

@@ -143,7 +143,7 @@ def test_the_stages_before_closing_have_their_tables(root):
         "97.5 %",
         "80.5 %",
         "85.5 %",
-        "6.5 ± 2.5 (paper 8.7",
+        "6.5 ± 2.5 / 8.7",
         "1,234 reaches",
         "10.3 mm on any tick (10 mm are asked",
         "1,234 states of 1 object; no pre-grasp was found for golf ball. Made in 2 steps",

@@ -42,8 +42,8 @@ from mjx_grasp.records.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
 _COUNTED = (
-    *("eight_native", "conditions/exact", "conditions/noisy", "pose_error", "objects/reached"),
-    *("sensitivity", "grasps_all", "scenarios"),
+    *("beside/planned", "beside/gate", "eight_native", "conditions/exact", "conditions/noisy"),
+    *("pose_error", "objects/reached", "sensitivity", "grasps_all", "scenarios"),
 )
 """results that stand beside published ones, and are of fewer trials"""
 RUNS_SCHEMA = "mjx_grasp.training_runs/1"

@@ -6,9 +6,10 @@
   python experiments/paper.py --objects-dir SCANS --quick
 
 What is done for this revision of the code is not done again, so that a run that was stopped goes
-on; several of the commands go on within themselves too. With a GPU some commands run beside each
-other, one in each of the lanes of `lane_of`, and what they say goes to files. `--quick` is for a
-look at most of it. The last step puts the numbers into the READMEs.
+on; several of the commands go on within themselves too. One that fails stops only those that need
+what it makes. With a GPU some commands run beside each other, one in each of the lanes of
+`lane_of`, and what they say goes to files. `--quick` is for a look at most of it. The last step,
+once all is made, puts the numbers into the READMEs.
 `docs/reproduction.md` says where each table and figure is shown.
 """
 
@@ -239,10 +240,11 @@ def main(config: PaperConfig) -> None:
     began, writing, left = time.monotonic(), threading.Lock(), list(steps)
     before = kept.commands
     kept.begin(step.command for step in steps)
+    failures: list[str] = []
     with counting_progress(console if beside else None) as bar:
         commands = bar.add_task("commands", total=len(steps))
 
-        def make(step: Step) -> None:
+        def make(step: Step) -> bool:
             number, started = steps.index(step) + 1, time.monotonic()
             with writing:
                 spent = f"{(started - began) / 60:.0f} min so far{_guess(left, before)}"
@@ -250,15 +252,19 @@ def main(config: PaperConfig) -> None:
             try:
                 _run(step.command, scans, console, _log_of(step) if beside else None)
             except MjxGraspError as error:
-                if beside:
-                    console.print(f"[red]{error}[/red]; what is under way ends first")
-                raise
+                console.print(f"[red]{error}[/red]")
+                failures.append(str(error))
+                return False
             with writing:
                 kept.ended(step.command, scans, time.monotonic() - started)
                 left.remove(step)
             bar.update(commands, advance=1)
+            return True
 
-        in_lanes(steps, make)
+        lost = in_lanes(steps, make)
+    if lost:
+        goes_on = f"{len(lost)} of {len(steps)} commands are left; the same command goes on there"
+        raise MjxGraspError("\n".join((*failures, goes_on)))
     if len(possible) > 1 and len(steps) == len({c for part in possible for c in part.commands}):
         kept.all_ended(possible, config.quick, time.monotonic() - began)
     _run(LAST, scans, console)
@@ -378,10 +384,7 @@ def _run(command: str, scans: Path, console: Console, log: Path | None = None) -
         ).returncode
     if code:
         said = f"; {log} has what it said" if log else ""
-        raise MjxGraspError(
-            f"python {shlex.join(words)}: ended with {code}{said}; once it is mended, the same "
-            "command goes on here"
-        )
+        raise MjxGraspError(f"python {shlex.join(words)}: ended with {code}{said}")
 
 
 if __name__ == "__main__":

@@ -62,20 +62,30 @@ def needs(command: str, before: str) -> bool:
     )
 
 
-def in_lanes(steps: Sequence[Step], run: Callable[[Step], None]) -> None:
+def in_lanes(steps: Sequence[Step], run: Callable[[Step], bool]) -> list[Step]:
     """Runs all steps, one of each lane at a time; in a lane the first that can be run is next.
 
     Args:
         steps: None before one that it is to be after.
-        run: Does a step, in a thread of its lane. Once it has raised an error for one of them, none
-            is begun, and what is under way in the other lanes ends first.
+        run: Does a step, in a thread of its lane, and says whether that went well. Once it has
+            raised an error none is begun, and what is under way in the other lanes ends first.
+
+    Returns:
+        What did not go well, and what was not begun as it is to be after that.
     """
-    left, done, failed = list(steps), set[str](), threading.Event()
-    turn = threading.Condition()
+    left, done, lost = list(steps), set[str](), list[Step]()
+    turn, stopped = threading.Condition(), threading.Event()
+
+    def give_up() -> None:
+        """What waits in vain waits no longer."""
+        for step in list(left):
+            if step.after & {one.command for one in lost}:
+                left.remove(step)
+                lost.append(step)
 
     def following(lane: str) -> Step | None:
         with turn:
-            while not failed.is_set():
+            while not stopped.is_set():
                 own = [step for step in left if step.lane == lane]
                 ready = [step for step in own if step.after <= done]
                 if ready:
@@ -86,26 +96,30 @@ def in_lanes(steps: Sequence[Step], run: Callable[[Step], None]) -> None:
         return None
 
     def stop() -> None:
-        failed.set()
+        stopped.set()
         with turn:
             turn.notify_all()
 
     def work(lane: str) -> None:
         while step := following(lane):
             try:
-                run(step)
+                well = run(step)
             except BaseException:
                 stop()
                 raise
             with turn:
-                done.add(step.command)
+                if well:
+                    done.add(step.command)
+                else:
+                    lost.append(step)
+                    give_up()
                 turn.notify_all()
 
     lanes = list(dict.fromkeys(step.lane for step in steps))
     if len(lanes) < 2:
         for lane in lanes:
             work(lane)
-        return
+        return lost
     with ThreadPoolExecutor(len(lanes)) as pool:
         try:
             for ended in as_completed([pool.submit(work, lane) for lane in lanes]):
@@ -113,3 +127,4 @@ def in_lanes(steps: Sequence[Step], run: Callable[[Step], None]) -> None:
         except BaseException:  # an interrupt reaches this thread alone
             stop()
             raise
+    return lost

@@ -15,6 +15,11 @@ STATES = (
     "-m mjx_grasp.handoffs --kind reached --gate paper --objects train --per-object 42 "
     f"--max-rounds 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/handoffs.npz"
 )
+JUDGES = (
+    "-m mjx_grasp.handoffs --kind reached --gate paper --objects eight --per-object 64 "
+    f"--seed 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/judges.npz"
+)
+"""States of the published gate that no training has seen."""
 NEAR = "--gate paper --gate-midpoint 0.0055"
 """How near its gate waits for is not published, but how near the midpoint is at its handoffs."""
 END_TO_END = "-m mjx_grasp.train --preset end-to-end --objects-dir SCANS --evaluation-episodes 0"
@@ -186,6 +191,14 @@ PARTS = (
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal hard "
             "--force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 --keeping-gain 0 --squeeze-forces "
             "--episodes 128 --processes CORES --out experiments/results/not_kept/eight.json",
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal "
+            "--force-budgets 3 --squeeze-forces 3 --episodes 448 "
+            "--processes CORES --out experiments/results/beside/planned.json",
+            JUDGES,
+            "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal "
+            f"--handoffs {FOLDER}/judges.npz --states all "
+            "--force-budgets 3 --squeeze-forces 3 --episodes 448 "
+            "--processes CORES --out experiments/results/beside/gate.json",
             "experiments/force_figure.py",
         ),
         not_quick="native MuJoCo takes most of an hour for them; `engines` has them in MJX",
@@ -211,7 +224,7 @@ PARTS = (
         (
             "experiments/evaluate_controllers.py --engine mjx --objects-dir SCANS "
             "--conditions nominal hard --force-budgets 1.5 2 2.5 3 3.5 4 6 8 12 "
-            "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 448|128 "
+            "--squeeze-forces 1 2 3 4 5 7 10 --grip-frictions 0.4 0.5 --episodes 128 "
             "--out experiments/results/engines/eight.json",
         ),
         without_gpu="MJX takes days for them on a few cores",
@@ -314,8 +327,7 @@ PARTS = (
             STATES,
             f"-m mjx_grasp.handoffs --kind reached {NEAR} --objects train --per-object 42 "
             f"--max-rounds 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/near.npz",
-            "-m mjx_grasp.handoffs --kind reached --gate paper --objects eight --per-object 64 "
-            f"--seed 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/judges.npz",
+            JUDGES,
             f"-m mjx_grasp.tune experiments/paper_ablation.yaml --out {FOLDER}/ablation --together "
             "--flags '--objects-dir SCANS'",
             f"experiments/policy_ablation.py {FOLDER}/ablation --objects-dir SCANS --as-trained "

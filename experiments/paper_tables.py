@@ -142,12 +142,11 @@ def claims(folder: Path) -> str:
 def eight(folder: Path) -> str:
     """Success on the eight objects and how trials fail: ours, the published setting, published.
 
-    The preset `paper` has files of its own in `paper_preset`, from states of the published gate:
-    `eight.json` with squeezes in its task, `today.json` with what is otherwise ours.
+    Ours are in `beside`, from planned states and from those of the published gate; from the latter
+    the preset `paper` has a policy of its own in `paper_preset`, with squeezes in its task.
     """
-    ours = [_eight(folder, name, _FORCE_N) for name in ("policy", "squeeze")]
-    files = [folder / "paper_preset" / name for name in ("today.json", "eight.json")]
-    return _beside([ours, *map(_pair, files)], _OF_THE_EIGHT, each=True)
+    files = ("beside/planned.json", "beside/gate.json", "paper_preset/eight.json")
+    return _beside([_pair(folder / name) for name in files], _OF_THE_EIGHT, each=True)
 
 
 def all_objects(folder: Path) -> str:
@@ -219,21 +218,9 @@ def _beside(pairs: Sequence[Pair], names: Sequence[str], each: bool) -> str:
     return markdown(Table("Beside the publication", header, tuple(lines)))
 
 
-def _eight(folder: Path, controller: str, force: float) -> list[ResultRow] | None:
-    """A controller's rows at ±5 mm: the policy with a budget, or a squeeze [N]."""
-    path = folder / "eight_native.json"
-    if not path.exists():
-        return None
-    name = "force_budget_n" if controller == "policy" else "squeeze_force_n"
-    rows = read_results(path).rows
-    of = [r for r in rows if r.controller == controller and getattr(r, name) == force]
-    of = [r for r in of if r.offset_mm == _OFFSET_MM and r.squeeze_split in (None, "even")]
-    return of or None
-
-
 def _both(folder: Path) -> tuple[list[ResultRow], list[ResultRow]] | None:
     """The policy with the budget of the published squeeze, and that squeeze."""
-    policy, squeeze = (_eight(folder, name, _FORCE_N) for name in ("policy", "squeeze"))
+    policy, squeeze = _pair(folder / "beside" / "planned.json")
     return None if policy is None or squeeze is None else (policy, squeeze)
 
 
@@ -256,7 +243,7 @@ def _lifts_more(folder: Path) -> Claim | None:
 
 
 def _squeeze_lifts_as_often(folder: Path) -> Claim | None:
-    both, (_, same) = _both(folder), _pair(folder / "paper_preset" / "today.json")
+    both, (_, same) = _both(folder), _pair(folder / "beside" / "gate.json")
     if both is None or same is None:
         return None
     planned, alike = _mean(both[1]), _mean(same)

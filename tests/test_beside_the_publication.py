@@ -59,11 +59,11 @@ def cells(line):
 
 def test_the_eight_stand_beside_what_is_published(tables, tmp_path):
     assert tables.eight(tmp_path) == tables.NOTHING
-    written(tmp_path / "eight_native.json", *ours(NAMES))
+    written(tmp_path / "beside" / "planned.json", *ours(NAMES))
     assert tables.eight(tmp_path) == tables.NOTHING, "the published setting is missing"
     written(tmp_path / "paper_preset" / "eight.json", *preset(NAMES))
     assert tables.eight(tmp_path) == tables.NOTHING
-    written(tmp_path / "paper_preset" / "today.json", *ours(NAMES))
+    written(tmp_path / "beside" / "gate.json", *ours(NAMES))
     lines = [cells(line) for line in tables.eight(tmp_path).splitlines()[2:]]
     by_name = {line[0]: line[1:] for line in lines}
     assert by_name["sugar_box"] == [

@@ -85,7 +85,7 @@ def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_
     module, scans = paper.module, tmp_path / "scans"
     scans.mkdir()
     config = module.PaperConfig(objects_dir=scans, state=tmp_path / "state.json")
-    with pytest.raises(MjxGraspError, match=r"ended with 1; .* the same command goes on"):
+    with pytest.raises(MjxGraspError, match=r"ended with 1\n1 of 3 .* goes on there"):
         module.main(config)
     assert paper.ran.read_text() == "12"
     assert "gpu needs a GPU: it takes days" in capsys.readouterr().err
@@ -402,8 +402,21 @@ def test_a_command_waits_for_those_whose_files_it_names_and_a_figure_for_all(mon
     steps = lanes.steps_of([part], lambda command: True, lambda command: "one")
     assert [len(step.after) for step in steps] == [0, 0, 1, 3]
     ran = []
-    lanes.in_lanes(steps, ran.append)
+    assert lanes.in_lanes(steps, lambda step: ran.append(step) or True) == []
     assert ran == steps
+
+
+@pytest.mark.parametrize("lane", [lambda command: "one", lambda command: command[0]])
+def test_what_fails_takes_with_it_what_needs_it_and_nothing_else(monkeypatch, lane):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    lanes, ran = script("paper_lanes"), []
+    made = ("a.py --out r/a", "b.py r/a --out r/b", "c.py r/b --out r/c", "d.py --out r/d")
+    others = ("e.py r/d --out r/e",)
+    parts = [lanes.Part("p", "-", (*made, *others)), lanes.Part("q", "-", ("figure.py",))]
+    steps = lanes.steps_of(parts, lambda command: True, lane)
+    lost = lanes.in_lanes(steps, lambda step: ran.append(step.command[0]) or step.command[0] != "a")
+    assert sorted(step.command[0] for step in lost) == ["a", "b", "c"]
+    assert sorted(ran) == ["a", "d", "e", "f"]
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
@@ -425,6 +438,7 @@ def test_lanes_take_what_is_ready_first_and_begin_nothing_after_an_error(monkeyp
                 raise KeyboardInterrupt
         if step.command == "quick":
             slow.set()
+        return True
 
     if interrupted:
         with pytest.raises(KeyboardInterrupt):

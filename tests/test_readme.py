@@ -203,10 +203,11 @@ def test_a_claim_is_judged_by_what_the_files_hold(root):
     claims = make_readme.paper_tables.claims
     assert "the policy lifts" not in claims(results)
     policy = replace(result("sugar_box", 60, 5.0), force_budget_n=3.0)
-    squeeze = replace(
-        result("sugar_box", 30, 5.0), controller="squeeze", squeeze_force_n=3.0, force_mean_n=1.5
-    )
-    write_results(results / "eight_native.json", [policy, squeeze], PROVENANCE, FIRST_ROBOT)
+    told = {"squeeze_force_n": 3.0, "squeeze_split": "even", "force_mean_n": 1.5}
+    squeeze = replace(result("sugar_box", 30, 5.0), controller="squeeze", **told)
+    (results / "beside").mkdir()
+    planned = results / "beside" / "planned.json"
+    write_results(planned, [policy, squeeze], PROVENANCE, FIRST_ROBOT)
     text = claims(results)
     assert "| 91.9 % against 56.1 % | 93.8 % against 46.9 % | holds |" in text
     assert "largest on the sugar box | holds |" in text

@@ -197,7 +197,7 @@ PARTS = (
             JUDGES,
             "experiments/evaluate_controllers.py --objects-dir SCANS --conditions nominal "
             f"--handoffs {FOLDER}/judges.npz --states all "
-            "--force-budgets 3 --squeeze-forces 3 --episodes 448 "
+            "--force-budgets 3 --squeeze-forces 3 10 --episodes 448 "
             "--processes CORES --out experiments/results/beside/gate.json",
             "experiments/force_figure.py",
         ),

@@ -1,5 +1,7 @@
 """`python -m mjx_grasp.demo`: one grasp from home, as a film and a page."""
 
+from functools import partial
+
 from mjx_grasp.cli import run_command, starting
 
 
@@ -16,11 +18,12 @@ def main() -> None:
         config = parsed(DemoConfig, __doc__)
 
     console = Console(stderr=True)
+    say = partial(console.print, markup=False, highlight=False)  # names may have brackets
     result = run_demo(config, console)
     if result["mesh"] == "parametric":
-        console.print(f"{result['object']}: a simple stand-in; --objects-dir takes scans")
-    console.print(f"{result['object']}: {verdict(result)}")
-    console.print(f"written: {config.out / 'index.html'}")
+        say(f"{result['object']}: a simple stand-in; --objects-dir takes scans")
+    say(f"{result['object']}: {verdict(result)}")
+    say(f"written: {config.out / 'index.html'}")
 
 
 if __name__ == "__main__":

@@ -241,10 +241,10 @@ def test_what_cannot_be_is_refused(task, env, single):
         env.step(np.full(env.action_space.shape, np.nan))
     with pytest.raises(InputError, match="3 seeds"):
         env.reset(seed=[1, 2, 3])
-    for seed in ([None, None], [1, 2.5], [], -1, True, "3", 2**63, [[1], [2, 3]]):
-        with pytest.raises(InputError, match=r"seed.*whole number, 0 or more or one per world"):
+    for seed in ([None, None], [1, 2.5], [], -1, True, "3", 2**32, [[1], [2, 3]]):
+        with pytest.raises(InputError, match=r"seed.*whole number from 0 to .* or one per world"):
             env.reset(seed=seed)
-    with pytest.raises(InputError, match=r"seed.*whole number, 0 or more"):
+    with pytest.raises(InputError, match=r"seed.*whole number from 0"):
         single.reset(seed=[3])
     seen, _ = env.reset(seed=np.int64(3))
     np.testing.assert_array_equal(seen, env.reset(seed=3)[0])

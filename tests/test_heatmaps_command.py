@@ -148,6 +148,19 @@ def test_a_box_of_eight_vertices_is_refined_until_it_can_be_grasped(tmp_path):
     assert len(heatmap.score) > 100 and heatmap.score.max() > 0.8
 
 
+def test_files_of_the_users_own_are_not_overwritten(tmp_path):
+    slab().export(tmp_path / "slab.obj")
+    for name in ("slab.ply", "summary.csv"):
+        (tmp_path / name).write_text("of somebody else")
+        run = heatmaps(tmp_path / "slab.obj", "--out", tmp_path, *COARSE)
+        assert run.returncode == 2 and f"{name}, which would be overwritten" in run.stderr
+        assert (tmp_path / name).read_text() == "of somebody else"
+        (tmp_path / name).unlink()
+    for _ in range(2):  # its own are replaced
+        run = heatmaps(tmp_path / "slab.obj", "--out", tmp_path, *COARSE)
+        assert run.returncode == 0, run.stderr
+
+
 def test_a_mesh_is_not_overwritten_by_its_coloured_copy(tmp_path):
     mesh = tmp_path / "slab.ply"
     slab().export(mesh)

@@ -50,11 +50,15 @@ def check_scores(heatmap: Heatmap, score: Float[Array | np.ndarray, " v"]) -> No
     """Refuses scores that are not those of a heatmap.
 
     Raises:
-        InputError: They are not one of each candidate.
+        InputError: They are not one of each candidate, or known and not finite or below 0.
     """
     if jnp.shape(score) != heatmap.score.shape:
         expected = f"one of each of the heatmap's {len(heatmap.score):,} candidates"
         raise InputError("score", f"shape {jnp.shape(score)}", expected)
+    if isinstance(score, jax.core.Tracer):
+        return
+    if not (np.isfinite(score).all() and (np.asarray(score) >= 0).all()):
+        raise InputError("score", "NaN, infinity or less than 0", "finite numbers, 0 or more")
 
 
 def vertex_candidates(heatmap: Heatmap, score: Float[Array, " v"] | None = None) -> Candidates:

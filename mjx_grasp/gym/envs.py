@@ -181,12 +181,12 @@ def _whole(seed: Any, most_axes: int) -> Any:
         InputError: They are not.
     """
     each = " or one per world" if most_axes else ""
-    expected = f"a whole number, 0 or more{each}"
+    expected = f"a whole number from 0 to 2³² − 1{each}"
     try:
         found = np.asarray(seed)
     except ValueError:  # rows of different lengths
         raise InputError("seed", seed, expected) from None
-    whole = found.dtype.kind in "iu" and not (found < 0).any() and not (found >= 2**63).any()
+    whole = found.dtype.kind in "iu" and not (found < 0).any() and not (found >= 2**32).any()
     if found.ndim > most_axes or not whole:
         raise InputError("seed", seed, expected)
     return found.tolist()

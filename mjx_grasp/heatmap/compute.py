@@ -94,6 +94,9 @@ def compute_heatmaps(
     coms = [None] * len(meshes) if coms is None else coms
     if len(coms) != len(meshes):
         raise InputError("coms", f"{len(coms)}", f"one of each of the {len(meshes)} meshes")
+    for com in coms:
+        if com is not None and not (np.shape(com) == (3,) and np.isfinite(com).all()):
+            raise InputError("com", np.asarray(com).tolist(), "three finite numbers [m], or None")
     centred = [_Centred.of(vertices, faces) for vertices, faces in meshes]
     hand = GraspLimits(_f32(span), _f32(scoring_friction))
 

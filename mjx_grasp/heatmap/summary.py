@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from mjx_grasp.heatmap.files import HeatmapInfo
@@ -47,11 +48,21 @@ def summary_table(rows: Sequence[Row]) -> Table:
         table.add_column(title, justify="right")
     for row in rows:
         if row.best_score is None or row.share_above_0_3 is None:
-            table.add_row(row.name, "", "", "failed", style="red")
+            table.add_row(escape(row.name), "", "", "failed", style="red")
             continue
         numbers = (f"{row.vertices}", f"{row.faces}", f"{row.best_score:.3f}")
-        table.add_row(row.name, *numbers, f"{100 * row.share_above_0_3:.1f}", f"{row.seconds:.1f}")
+        shares = f"{100 * row.share_above_0_3:.1f}", f"{row.seconds:.1f}"
+        table.add_row(escape(row.name), *numbers, *shares)
     return table
+
+
+def is_summary(path: Path) -> bool:
+    """Whether a file is a table of such rows."""
+    try:
+        with path.open(newline="") as stream:
+            return next(csv.reader(stream), None) == list(Row.__dataclass_fields__)
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return False
 
 
 def write_summary(

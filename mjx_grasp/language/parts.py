@@ -43,8 +43,12 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 """Other words for parts and sides."""
 
 _NEGATIONS = frozenset(
-    ["not", "no", "never", "without", "avoid", "except", "don", "dont", "nowhere"]
+    (
+        *("not", "no", "never", "without", "avoid", "except", "nowhere", "nothing", "neither"),
+        *("nor", "away", "far", "opposite", "rather", "instead", "dont", "cannot"),
+    )
 )
+_OTHER_NOTS = re.compile(r"n['’]t\b|\b(?:any|every|all)\w*\s+but\b")
 
 
 class PartGrounder:
@@ -62,7 +66,7 @@ class PartGrounder:
             GroundingError: The instruction names none or several that this object has.
         """
         regions = _regions(target)
-        words = re.findall(r"[a-z]+", instruction.lower())
+        words = re.findall(r"[a-z]+", _OTHER_NOTS.sub(" not", instruction.lower()))
         known = f"one of {', '.join(regions)}"
         if _NEGATIONS.intersection(words):
             raise GroundingError(instruction, "a negation", f"where to grasp: {known}")

@@ -167,6 +167,8 @@ def _read_depth(path: Path) -> Float[np.ndarray, "h w"]:
             depth: Any = np.load(path, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise FileError(path, f"nothing readable ({error})", _DEPTH) from None
+        if depth.dtype.kind in "iu":
+            raise FileError(path, f"whole numbers ({depth.dtype})", _DEPTH)
         scale = 1.0
     else:
         depth, scale = np.asarray(_open(path, _DEPTH)), 1e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -159,7 +160,10 @@ def catalogue_entry(name: str) -> ObjectInfo | None:
 
 def _is_path(text: str) -> bool:
     path = Path(text)
-    return path.exists() or path.suffix.lower() in EXTENSIONS or "/" in text or os.sep in text
+    with suppress(OSError):  # a name that no file can have
+        if path.exists():
+            return True
+    return path.suffix.lower() in EXTENSIONS or "/" in text or os.sep in text
 
 
 def _mesh_name(file: MeshFile) -> str:
@@ -203,4 +207,6 @@ def part_of(said: Any) -> Part:
 
 
 def _point(x: float, y: float, z: float) -> Point:
+    if any(isinstance(value, str | bool) for value in (x, y, z)):
+        raise TypeError("no numbers")
     return float(x), float(y), float(z)

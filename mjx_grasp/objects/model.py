@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,8 +82,8 @@ def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
 _HEAVIEST = 22_600.0  # kg/m³, the density of osmium
 
 
-def _one(name: str) -> Asked:
-    asked = find_objects(name, one=True)
+def _one(name: str | Path) -> Asked:
+    asked = find_objects(os.fspath(name), one=True)
     if len(asked) != 1:
         raise InputError("object", name, f"one of {', '.join(load_catalogue())}, or one mesh")
     return asked[0]
@@ -101,7 +102,7 @@ def _shape(asked: Asked, objects_dir: Path | None) -> tuple[trimesh.Trimesh, Map
 
 
 def load_object(
-    name: str,
+    name: str | Path,
     objects_dir: Path | None = None,
     cache_dir: Path | None = None,
     weight: Weight | None = None,
@@ -115,10 +116,11 @@ def load_object(
         weight: Of a mesh; by `DENSITY` if None.
 
     Raises:
-        InputError: An unknown name.
+        InputError: An unknown name, or a weight without a mesh.
         FileError: The scan or mesh, or the file of parts beside it, is missing or unusable.
     """
     asked = _one(name)
+    _check_weight(weight, [asked])
     mesh, parts = _shape(asked, objects_dir)
     mass, _ = _weighed(asked, mesh, weight or Weight())
     derived = pieces_of({asked.name: mesh}, cache_dir)[asked.name]
@@ -147,11 +149,7 @@ def load_objects(
     """
     asked, weight = find_objects(names), weight or Weight()
     own = [each.name for each in asked if each.file is not None]
-    if weight != Weight() and not own:
-        found = ", ".join(each.name for each in asked)
-        raise InputError(
-            "--mass or --density", found, "a mesh: the catalogue's objects have masses"
-        )
+    _check_weight(weight, asked)
     by_name = {each.name: each for each in asked}
     shapes = {each.name: _shape(each, objects_dir) for each in asked}
     weighed = {name: _weighed(by_name[name], mesh, weight) for name, (mesh, _) in shapes.items()}
@@ -173,6 +171,14 @@ def load_objects(
             f"[yellow]convex pieces stand out by more than {1e3 * allowed:g} mm: {named}[/yellow]"
         )
     return loaded
+
+
+def _check_weight(weight: Weight | None, asked: Sequence[Asked]) -> None:
+    """Refuses a weight where there is no mesh that it could be of."""
+    if weight not in (None, Weight()) and all(each.file is None for each in asked):
+        found = ", ".join(each.name for each in asked)
+        expected = "a mesh: the catalogue's objects have masses"
+        raise InputError("--mass or --density", found, expected)
 
 
 def _model(

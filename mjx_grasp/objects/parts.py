@@ -18,6 +18,7 @@ _FORMAT = (
     "parts: {NAME: [x, y, z] or {at: [x, y, z], size: [x, y, z]}, ...}, names of one lower-case "
     "word, metres"
 )
+_UNREADABLE = OSError, yaml.YAMLError, AttributeError, TypeError, ValueError, RecursionError
 _BEYOND = 0.1  # a part farther from the mesh's box than this share of its diagonal is a mistake
 
 
@@ -51,6 +52,9 @@ def parts_of(file: MeshFile, mesh: trimesh.Trimesh) -> dict[str, Part]:
             box = " to ".join(str(np.round(corner, 3).tolist()) for corner in (low, high))
             expected = f"a point [m] at {file.path.name}, which lies within {box}"
             raise FileError(path, f"{name} at {point.tolist()}", expected)
+        if (np.array(part.size) > high - low + margin).any():
+            expected = f"at most that of {file.path.name}, {np.round(high - low, 3).tolist()} m"
+            raise FileError(path, f"{name} of size {list(part.size)}", expected)
         x, y, z = (point - middle).tolist()
         parts[name] = part._replace(at=(x, y, z))
     return parts
@@ -70,7 +74,7 @@ def _read(path: Path) -> dict[str, Part]:
                 parts[name] = part_of(said)
             except (TypeError, ValueError):
                 raise ValueError(f"part {name!r}: {said}") from None
-    except (OSError, yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
+    except _UNREADABLE as error:
         said = " ".join(str(error).split())
         raise FileError(path, f"no parts that can be read ({said})", _FORMAT) from None
     return parts

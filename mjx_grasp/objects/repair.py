@@ -180,20 +180,23 @@ def _without_flat(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Turns closed components of negative volume, except the walls of cavities."""
+    """Turns closed components of negative volume, except the walls of cavities.
+
+    Where the volume of all is negative, all are inside out, and cavities with them.
+    """
     count, label = _components(faces)
-    faces = faces.copy()
-    for component in range(count):
+    parts = (trimesh.Trimesh(vertices, faces[label == c], process=False) for c in range(count))
+    volume = np.array([part.volume for part in parts])
+    if volume.sum() < 0.0:
+        faces, volume = faces[:, ::-1], -volume
+    outward = np.where((volume < 0.0)[label][:, None], faces[:, ::-1], faces)
+    found = outward.copy()
+    for component in np.flatnonzero(volume < 0.0) if count > 1 else ():
         members = label == component
-        part = trimesh.Trimesh(vertices, faces[members], process=False)
-        if part.volume >= 0.0:
-            continue
-        others = trimesh.Trimesh(vertices, faces[~members], process=False)
-        point = vertices[faces[members][0, 0]][None]
-        if count > 1 and inside(others, point)[0]:
-            continue
-        faces[members] = faces[members][:, ::-1]
-    return faces
+        others = trimesh.Trimesh(vertices, outward[~members], process=False)
+        if inside(others, vertices[faces[members][0, 0]][None])[0]:
+            found[members] = faces[members]
+    return found
 
 
 def _fill_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 import tyro
 from rich.console import Console
+from rich.markup import escape
 
 from mjx_grasp.cli import counting_progress
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
@@ -21,7 +22,14 @@ from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
 from mjx_grasp.heatmap.sampling import best_triple, sample_triples
 from mjx_grasp.heatmap.steering import Heatmap
-from mjx_grasp.heatmap.summary import GOOD, LEAST, Row, write_summary, write_triples
+from mjx_grasp.heatmap.summary import (
+    GOOD,
+    LEAST,
+    Row,
+    is_summary,
+    write_summary,
+    write_triples,
+)
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
 from mjx_grasp.objects.folder import MeshFile, find_meshes
@@ -91,9 +99,9 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
         InputError: The anchor or the instruction does not fit the only mesh.
     """
     files = find_meshes(config.mesh)
+    check_new_folder("--out", config.out)
     if config.out.exists() and not config.out.is_dir():
         raise FileError(config.out, "a file", "a folder, or a name for a new one")
-    check_new_folder("--out", config.out)
     _check_kept(files, config.out)
     grip = config.grip()
     rows: dict[str, Row] = {}
@@ -110,7 +118,7 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
         work = sum(len(job.mesh.vertices) for job in jobs)
         bar = progress.add_task("heatmaps", total=work)
         for job in jobs:
-            progress.update(bar, description=f"heatmap of {job.file.name}")
+            progress.update(bar, description=f"heatmap of {escape(job.file.name)}")
             rows[job.file.name], cell = _make_one(job, config, grip)
             cells.append(cell)
             progress.advance(bar, len(job.mesh.vertices))
@@ -128,17 +136,25 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
 
 
 def _check_kept(files: Sequence[MeshFile], out: Path) -> None:
-    """Refuses to write the coloured meshes over the meshes that they are of.
+    """Refuses to write over meshes, those that heatmaps are of or others, and over other tables.
 
     Raises:
         InputError: One of them would be overwritten.
     """
-    meshes = {file.path.resolve(): file for file in files}
+    meshes = {file.path.resolve() for file in files}
+    lost = []
     for file in files:
-        lost = meshes.get((out / f"{file.name}.ply").resolve())
-        if lost is not None:
-            found = f"the folder of {lost.path.name}, which would be overwritten"
-            raise InputError("--out", found, "another folder")
+        coloured = out / f"{file.name}.ply"
+        # A heatmap is written before its coloured mesh.
+        ours = coloured.with_name(f"{file.name}.npz").exists()
+        if coloured.resolve() in meshes or (coloured.exists() and not ours):
+            lost.append(coloured)
+    table = out / "summary.csv"
+    if table.exists() and not is_summary(table):
+        lost.append(table)
+    if lost:
+        found = f"the folder of {lost[0].name}, which would be overwritten"
+        raise InputError("--out", found, "another folder")
 
 
 def _prepare(file: MeshFile, config: HeatmapsConfig) -> _Job:

@@ -98,6 +98,8 @@ def test_given_centres_of_mass_go_to_their_meshes():
     together = compute_heatmaps([arrays] * 3, coms, *HAND)
     for com, heatmap in zip(coms, together, strict=True):
         assert np.array_equal(heatmap.score, compute_heatmap(*arrays, com, *HAND).score)
+    with pytest.raises(InputError, match=r"com: found .* expected three finite numbers"):
+        compute_heatmaps([arrays], [np.full(3, np.nan)], *HAND)
     with pytest.raises(InputError, match="coms"):
         compute_heatmaps([arrays] * 3, coms[:2], *HAND)
 

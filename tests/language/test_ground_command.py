@@ -155,6 +155,7 @@ def damaged(folder, tmp_path):
 
     np.save(tmp_path / "small.npy", np.ones((HEIGHT // 2, WIDTH)))
     np.save(tmp_path / "flat.npy", np.ones(HEIGHT * WIDTH))
+    np.save(tmp_path / "millimetres.npy", np.full((HEIGHT, WIDTH), 400, np.uint16))
     np.save(tmp_path / "words.npy", np.full((HEIGHT, WIDTH), "a"))
     Image.fromarray(np.ones((HEIGHT, WIDTH), np.uint8)).save(tmp_path / "eight.png")
     no_focus = {k: v for k, v in camera.items() if k != "fx"}
@@ -164,6 +165,7 @@ def damaged(folder, tmp_path):
         ("image", tmp_path / "none.png", "no such file"),
         ("image", write("text.png", "no picture"), "a picture"),
         ("depth", tmp_path / "none.npy", "none.npy"),
+        ("depth", tmp_path / "millimetres.npy", "whole numbers (uint16)"),
         ("depth", tmp_path / "small.npy", f"{WIDTH}×{HEIGHT}"),
         ("depth", tmp_path / "flat.npy", "of shape"),
         ("depth", tmp_path / "words.npy", "of shape"),

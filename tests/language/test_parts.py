@@ -92,6 +92,10 @@ def test_every_part_of_the_catalogue_is_found_by_its_name_and_is_on_the_object(n
         ("", "no known part"),
         ("the top left", "top and left"),
         ("not at the top", "negation"),
+        ("anywhere but the top", "negation"),
+        ("you can't hold the top", "negation"),
+        ("shouldn’t touch the top", "negation"),
+        ("away from the top", "negation"),
         ("don't touch the top", "negation"),
     ],
 )

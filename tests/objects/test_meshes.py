@@ -192,6 +192,18 @@ def test_an_inside_out_mesh_is_turned_outward():
     np.testing.assert_array_equal(mesh.faces, faces)
 
 
+@pytest.mark.parametrize("first", ["outer", "inner"])
+def test_a_hollow_mesh_inside_out_keeps_its_cavity(first):
+    outer, inner = ball(0.04), ball(0.02)
+    inner.invert()
+    pair = (outer, inner) if first == "outer" else (inner, outer)
+    vertices = np.concatenate([each.vertices for each in pair])
+    faces = np.concatenate([pair[0].faces, pair[1].faces + len(pair[0].vertices)])
+    mesh = repair(vertices, faces[:, ::-1], "thing.obj")
+    assert_closed_and_outward(mesh, outer.volume + inner.volume)
+    np.testing.assert_array_equal(mesh.faces, faces)
+
+
 def test_the_walls_of_a_cavity_stay_inward():
     outer, inner = ball(0.04), ball(0.02)
     vertices = np.concatenate([outer.vertices, inner.vertices])

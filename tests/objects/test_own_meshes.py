@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from mjx_grasp.errors import FileError, InputError
-from mjx_grasp.objects.catalogue import load_catalogue, resolve
+from mjx_grasp.objects.catalogue import find_objects, load_catalogue, resolve
 from mjx_grasp.objects.config import DENSITY, ObjectsConfig, Weight
 from mjx_grasp.objects.folder import MeshFile
 from mjx_grasp.objects.model import load_object, load_objects
@@ -152,6 +152,14 @@ def test_parts_are_those_beside_the_mesh_or_of_the_scan(jug):
     assert parts_of(MeshFile("025_mug", jug), mesh) == load_catalogue()["mug"].parts
 
 
+def test_an_object_of_the_catalogue_has_no_other_weight_and_a_mesh_may_be_a_path(jug):
+    with pytest.raises(InputError, match="--mass or --density: found 'mug'"):
+        load_object("mug", weight=Weight(mass=5.0))
+    assert load_object(jug, weight=Weight(mass=0.3)).mass == 0.3
+    with pytest.raises(InputError, match="xxx"):
+        find_objects("x" * 300)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -169,6 +177,10 @@ def test_parts_are_those_beside_the_mesh_or_of_the_scan(jug):
         ("parts: {Upper handle: [0, 0, 0]}", "part 'Upper handle'"),
         ("parts: {3: [0, 0, 0]}", "no parts that can be read"),
         ("parts: {handle: [55, 0, 70]}", "handle at [55.0, 0.0, 70.0]"),
+        ("parts: {handle: {at: [0, 0, 0], size: [20, 20, 20]}}", "of size [20.0, 20.0, 20.0]"),
+        ("parts: {handle: '123'}", "part 'handle'"),
+        ("parts: {handle: [true, 0, 0]}", "part 'handle'"),
+        ("parts: " + 3000 * "[", "no parts that can be read"),
     ],
 )
 def test_parts_that_cannot_be_are_refused(jug, text, said):

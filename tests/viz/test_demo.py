@@ -206,6 +206,16 @@ def refused(match, **settings):
     assert not Path("out").exists()
 
 
+def test_a_page_that_no_demo_has_written_stays(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = Path("out") / "index.html"
+    page.parent.mkdir()
+    page.write_text("mine")
+    with pytest.raises(InputError, match=r"--out: found .*index\.html, which no demo has written"):
+        run.run_demo(DemoConfig("mug", out=Path("out")), Console(quiet=True))
+    assert [path.name for path in Path("out").iterdir()] == ["index.html"]
+
+
 def test_a_scenario_of_its_own_objects_takes_no_other():
     refused("^object: found 'mug', expected chips_can, .*side_grasp", object="mug",
             scenario="side_grasp")  # fmt: skip

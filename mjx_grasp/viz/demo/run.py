@@ -80,6 +80,9 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
             written then.
     """
     check_new_folder("--out", config.out)
+    page = config.out / "index.html"
+    if page.exists() and not (config.out / "result.json").exists():
+        raise InputError("--out", f"{page}, which no demo has written", "another folder")
     name, scenario = load_scenario(config.scenario)
     _check_object(config.object, name, scenario)
     made = provenance(config.seed)
@@ -90,7 +93,7 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     assert grasper.planner is not None
     (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
     if (doubt := too_heavy(scenario.mass_scale * obj.mass, max(budget, BUDGET_N))) is not None:
-        console.print(f"{obj.name}: {doubt}", highlight=False)
+        console.print(f"{obj.name}: {doubt}", markup=False, highlight=False)
     place = place_of(obj, config)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)

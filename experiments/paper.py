@@ -235,7 +235,14 @@ def main(config: PaperConfig) -> None:
         forms = {command, whole[command]} if config.quick else {command}
         return not any(done(kept.commands, form, scans) for form in forms)
 
-    steps = steps_of(possible, is_left, lane_of)
+    def stays(command: str) -> bool:
+        """Nor where what it reads is made again."""
+        full = whole.get(command, command)
+        return full != command and done(kept.commands, full, scans)
+
+    steps = [s for s in steps_of(possible, is_left, lane_of) if not stays(s.command)]
+    made = frozenset(step.command for step in steps)
+    steps = [step._replace(after=step.after & made) for step in steps]
     beside = len({step.lane for step in steps}) > 1
     began, writing, left = time.monotonic(), threading.Lock(), list(steps)
     before = kept.commands

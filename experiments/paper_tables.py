@@ -260,8 +260,10 @@ def _fair_opponent(folder: Path) -> Claim | None:
     both = _both(folder)
     if both is None:
         return None
-    policy = float(np.mean([row.force_mean_n for row in both[0]]))
-    squeeze = float(np.mean([row.force_mean_n for row in both[1]]))
+    forces = [[r.force_mean_n for r in rows if r.force_mean_n is not None] for rows in both]
+    if not all(forces):
+        return None
+    policy, squeeze = (float(np.mean(of)) for of in forces)
     fair = abs(policy - squeeze) < 0.1 * policy
     return Claim(
         "a squeeze of 3 N is the opponent to compare with",

@@ -28,7 +28,7 @@ def reach_rates(path: Path, presets: Path) -> str:
     if d is None:
         return NOTHING
     sweeps, poses = {"ours": d}, f"{d['poses']:,} random cylinder poses"
-    if others is not None:
+    if others is not None and "paper" in others["rows"]:
         sweeps["preset `paper`"] = others["rows"]["paper"]
         if others["poses"] != d["poses"]:
             poses += f" (preset: {others['poses']:,})"
@@ -112,7 +112,7 @@ def reach_limits(path: Path) -> str:
 def reach_ablation(path: Path) -> str:
     """The published controller and each addition to it."""
     d = read(path)
-    if d is None:
+    if d is None or "default" not in d["rows"]:  # it is made last
         return NOTHING
     shown = markdown(ablation_table(d["rows"]))
     solvable = d["rows"]["default"]["solvable_percent"]["20"]

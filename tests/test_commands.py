@@ -236,6 +236,21 @@ def test_a_run_says_which_states_it_is_trained_on(scene, tmp_path, monkeypatch):
     assert made["handoffs"] == {"kind": "mixed", "reached_share": share}
 
 
+def test_what_cannot_work_is_refused_before_a_folder_is_made(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(job, "build_scene_of", lambda *_: scene)
+    states = asset_path("handoffs_standins.npz")
+    run, task = tmp_path / "run", replace(preset_config("cpu").task, control_dt=0.0071)
+    config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
+    with pytest.raises(InputError, match="control_dt: found 0.0071"):
+        run_training(replace(config, task=task), Console(quiet=True))
+    assert not run.exists()
+    run.mkdir()
+    (run / "handoffs.npz").write_bytes(states.read_bytes())
+    with pytest.raises(FileError, match="handoffs.npz, of no run"):
+        run_training(config, Console(quiet=True))
+    assert [path.name for path in run.iterdir()] == ["handoffs.npz"]
+
+
 def test_a_run_is_never_overwritten(trained):
     done = typed("train", "--preset", "cpu", *TINY, "--out", trained)
     assert done.returncode == 2

@@ -301,6 +301,23 @@ def test_what_all_parts_took_together_is_kept_once_and_only_of_whole_runs(quick)
     assert quick.module.Kept(quick.config.state).runs[0]["git"] == "a third"
 
 
+def test_a_quick_look_leaves_in_full_what_reads_what_it_makes(quick, monkeypatch):
+    """Its states are gone, say, and made anew; a figure without a quick form is drawn again."""
+    results = "e.py --in runs/r.npz TRIALS:16 --out README.md"
+    part = quick.module.Part(
+        "one", "-", ("s.py 64|16 --out runs/r.npz", results, "figure.py", "x_figure.py")
+    )
+    monkeypatch.setattr(quick.module, "PARTS", (part,))
+    monkeypatch.setattr(quick.module, "made_by", lambda command: quick.config.objects_dir)
+    quick.made(quick=False)
+    gone = quick.config.objects_dir / "none"
+    made_by = {"s.py": gone}
+    monkeypatch.setattr(
+        quick.module, "made_by", lambda c: made_by.get(c.split()[0], quick.config.objects_dir)
+    )
+    assert quick.made() == ["figure.py", "s.py 16 --out runs/r.npz", "x_figure.py"]
+
+
 def test_a_quick_look_needs_a_gpu(quick, monkeypatch):
     monkeypatch.setattr(quick.module, "has_gpu", lambda: False)
     with pytest.raises(InputError, match="--quick: found 'no GPU', expected a GPU"):
@@ -404,6 +421,14 @@ def test_a_command_waits_for_those_whose_files_it_names_and_a_figure_for_all(mon
     ran = []
     assert lanes.in_lanes(steps, lambda step: ran.append(step) or True) == []
     assert ran == steps
+
+
+def test_nothing_waits_for_a_figure(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "experiments")
+    lanes = script("paper_lanes")
+    part = lanes.Part("p", "-", ("a_figure.py", "numbers.py", "b_figure.py"))
+    steps = lanes.steps_of([part], lambda command: True, lambda command: "one")
+    assert [sorted(step.after) for step in steps] == [[], [], ["numbers.py"]]
 
 
 @pytest.mark.parametrize("lane", [lambda command: "one", lambda command: command[0]])

@@ -53,7 +53,8 @@ def command_line() -> str:
 
 
 def git_revision() -> str:
-    """The checkout's revision, `-dirty` with uncommitted changes; 'unknown' outside one.
+    """The checkout's revision, `-dirty` with uncommitted changes; outside one `unknown-` and a
+    digest of the modules.
 
     A repository that the package is merely installed in says nothing of it.
     In a copy it is what `make revision` wrote, also where the copy has a repository of its own that
@@ -68,7 +69,7 @@ def git_revision() -> str:
         ).stdout.strip()
 
     stamp = _root() / "REVISION"
-    copied = stamp.read_text().strip() if stamp.is_file() else "unknown"
+    copied = stamp.read_text().strip() if stamp.is_file() else _unknown()
     try:
         if Path(git("rev-parse", "--show-toplevel")).resolve() != _root():
             return copied
@@ -78,11 +79,20 @@ def git_revision() -> str:
     except (OSError, subprocess.CalledProcessError):
         return copied
     try:
-        if copied != "unknown":
+        if stamp.is_file():
             git("cat-file", "-e", copied.removesuffix(_DIRTY) + "^{commit}")
     except subprocess.CalledProcessError:
         return copied
     return revision + (_DIRTY if changed or new else "")
+
+
+def _unknown() -> str:
+    """What stands for a revision where there is none: another one when a module has changed."""
+    digest, root = hashlib.sha256(), _root()
+    for folder in ("mjx_grasp", "experiments"):
+        for path in sorted((root / folder).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return f"unknown-{digest.hexdigest()[:12]}"
 
 
 def is_committed(revision: str) -> bool:

@@ -18,13 +18,15 @@ from mjx_grasp.training.start import START, handoffs_wanted, start_file
 
 _OPENING = ("config.json", "provenance.json")
 """Files that are written when a run is opened."""
+_OF_A_RUN = "handoffs.npz", "policy.npz", "metrics.csv", "checkpoints"
+"""Files that a run that was opened would read or write over."""
 
 
 def run_folder(config: TrainConfig) -> Path:
     """The run's folder: that of the run to resume, or one that can be made.
 
     Raises:
-        FileError: There is a run in it already.
+        FileError: There is a run in it already, or a file that one would read or write over.
         InputError: Nothing can be written there.
     """
     if config.resume is not None:
@@ -34,6 +36,9 @@ def run_folder(config: TrainConfig) -> Path:
         raise FileError(
             folder, "a run that is already there", f"another --out, or --resume {folder}"
         )
+    others = [name for name in _OF_A_RUN if (folder / name).exists()]
+    if others:
+        raise FileError(folder, f"{others[0]}, of no run", "another --out")
     check_new_folder("--out", folder)
     return folder
 

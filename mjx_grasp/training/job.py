@@ -29,6 +29,7 @@ from mjx_grasp.records.atomic import read_json
 from mjx_grasp.records.provenance import provenance
 from mjx_grasp.records.settings import to_record
 from mjx_grasp.robot.identity import RobotIdentity
+from mjx_grasp.sim.physics import check_control_rate
 from mjx_grasp.sim.scene import Scene
 from mjx_grasp.tasks.assemble import World, build_scene_of, build_world
 from mjx_grasp.tasks.end_to_end import EndToEndTask
@@ -110,6 +111,7 @@ def run_together(
         check_same_files(config)
         check_same_terms(config, extra_terms)
     scene = build_scene_of(first.objects, first.objects_dir, robot, first.scene, first.weight)
+    check_control_rate(scene, first.task.control_dt)
     fitting = _fit_worlds(first, scene, devices, len(configs))
     configs = [replace(config, ppo=fitting, fit_memory=False) for config in configs]
     world = None if stored is None else _build(scene, stored, first, console)

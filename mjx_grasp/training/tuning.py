@@ -74,14 +74,15 @@ def tune(config: TuneConfig, console: Console) -> Table:
     if find_spec("ray") is None:
         raise InputError("tune", "no Ray", "the extra 'ray' (pip install 'mjx_grasp[ray]')")
     runs, made = read_plan(config.plan, config.flags), provenance(0)
-    if not config.out.exists():
-        check_new_folder("--out", config.out)
+    check_new_folder("--out", config.out)
+    if config.out.exists() and not config.out.is_dir():
+        raise FileError(config.out, "a file", "a folder, or a name for a new one")
+    table = config.out / "table.json"
+    before, began = _before(table), time.monotonic()
     for run in runs:
         check_begun(config.out / run.name, run)
     left = [run for run in runs if not finished(config.out / run.name)]
     _check(config, left)
-    table = config.out / "table.json"
-    before, began = _before(table), time.monotonic()
     failed = run_all(config, left, console)
     rows = gathered(config.out, runs)
     content = {
@@ -103,7 +104,10 @@ def _before(table: Path) -> float:
     """How long earlier calls of the same plan have worked on it [s]."""
     if not table.exists():
         return 0.0
-    return read_json(table, "a table of trainings").get("took_s", 0.0)
+    kept = read_json(table, "a table of trainings")
+    if kept.get("schema") != SCHEMA or not isinstance(kept.get("took_s"), int | float):
+        raise FileError(table, f"schema {kept.get('schema')!r}", SCHEMA)
+    return float(kept["took_s"])
 
 
 def _check(config: TuneConfig, runs: Sequence[Run]) -> None:

@@ -410,6 +410,19 @@ def test_lost_workers_cost_no_result_and_make_none_twice(tmp_path):
     assert time.monotonic() - started < 280
 
 
+@pytest.mark.parametrize("content", ['{"took_s": 3, "mine": 1}', None])
+def test_what_lies_where_a_plan_would_write_is_refused_before_anything_starts(tmp_path, content):
+    plan, out = tmp_path / "plan.yaml", tmp_path / "out"
+    plan.write_text("settings: {tiny: {}}\nseeds: [0]")
+    if content is None:
+        out.write_text("mine")
+    else:
+        out.mkdir()
+        (out / "table.json").write_text(content)
+    with pytest.raises(FileError, match=r"a folder, or a name|schema"):
+        tune(TuneConfig(plan, out), Console(quiet=True))
+
+
 @pytest.mark.long
 def test_a_plan_is_trained_as_a_user_types_it(tmp_path):
     """Two seeds of a tiny training; the second call runs nothing."""

@@ -56,7 +56,11 @@ def test_revision_tells_a_clean_checkout_from_a_changed_one(tmp_path, monkeypatc
 def test_revision_outside_a_checkout_is_the_stamp_or_unknown(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_root", lambda: tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert module.git_revision() == "unknown"
+    found = module.git_revision()
+    assert found.startswith("unknown-") and module.git_revision() == found
+    (tmp_path / "mjx_grasp").mkdir()
+    (tmp_path / "mjx_grasp" / "own.py").write_text("x = 1")
+    assert module.git_revision() not in (found, "unknown-")
     (tmp_path / "REVISION").write_text("abc123\n")
     assert module.git_revision() == "abc123"
 
@@ -69,7 +73,7 @@ def test_a_repository_that_it_is_installed_in_does_not_say_the_revision(tmp_path
     packages = tmp_path / ".venv" / "site-packages"
     packages.mkdir(parents=True)
     monkeypatch.setattr(module, "_root", lambda: packages)
-    assert module.git_revision() == "unknown"
+    assert module.git_revision().startswith("unknown-")
     monkeypatch.setattr(module, "_root", lambda: tmp_path)
     assert module.is_committed(module.git_revision())
 

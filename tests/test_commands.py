@@ -241,12 +241,12 @@ def test_what_cannot_work_is_refused_before_a_folder_is_made(scene, tmp_path, mo
     states = asset_path("handoffs_standins.npz")
     run, task = tmp_path / "run", replace(preset_config("cpu").task, control_dt=0.0071)
     config = replace(preset_config("cpu"), handoffs=states, objects=("foam_brick",), out=run)
-    with pytest.raises(InputError, match="control_dt: found 0.0071"):
+    with pytest.raises(InputError, match=r"control_dt: found 0\.0071"):
         run_training(replace(config, task=task), Console(quiet=True))
     assert not run.exists()
     run.mkdir()
     (run / "handoffs.npz").write_bytes(states.read_bytes())
-    with pytest.raises(FileError, match="handoffs.npz, of no run"):
+    with pytest.raises(FileError, match=r"handoffs\.npz, of no run"):
         run_training(config, Console(quiet=True))
     assert [path.name for path in run.iterdir()] == ["handoffs.npz"]
 

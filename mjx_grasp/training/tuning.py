@@ -75,8 +75,6 @@ def tune(config: TuneConfig, console: Console) -> Table:
         raise InputError("tune", "no Ray", "the extra 'ray' (pip install 'mjx_grasp[ray]')")
     runs, made = read_plan(config.plan, config.flags), provenance(0)
     check_new_folder("--out", config.out)
-    if config.out.exists() and not config.out.is_dir():
-        raise FileError(config.out, "a file", "a folder, or a name for a new one")
     table = config.out / "table.json"
     before, began = _before(table), time.monotonic()
     for run in runs:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mjx_grasp.cli import counting_progress
-from mjx_grasp.errors import FileError, InputError, MjxGraspError
+from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.heatmap.colours import steered_shade
 from mjx_grasp.heatmap.files import StoredHeatmap, save_heatmap, write_ply
 from mjx_grasp.heatmap.meshes import MeshConfig, heatmap_of_mesh, steered
@@ -100,8 +100,6 @@ def make_heatmaps(config: HeatmapsConfig, console: Console | None = None) -> lis
     """
     files = find_meshes(config.mesh)
     check_new_folder("--out", config.out)
-    if config.out.exists() and not config.out.is_dir():
-        raise FileError(config.out, "a file", "a folder, or a name for a new one")
     _check_kept(files, config.out)
     grip = config.grip()
     rows: dict[str, Row] = {}

@@ -34,7 +34,7 @@ from mjx_grasp.learning.controller import deployed_task, load_controller
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
-from mjx_grasp.records.atomic import check_writable, read_json, write_json
+from mjx_grasp.records.atomic import check_replaceable, read_json, write_json
 from mjx_grasp.records.journal import Journal, goes_on
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import Count, Positive, Seed, to_record
@@ -114,10 +114,10 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
         what: They are called in messages.
 
     Raises:
-        InputError: No object has start states, or the file cannot be written.
+        InputError: No object has start states, or the file cannot be written or is another one.
         FileError: A file is missing or damaged.
     """
-    check_writable("--out", config.out)
+    check_replaceable("--out", config.out, [schema])
     made, robot = provenance(config.seed), load_robot()
     policy_file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)

@@ -42,7 +42,7 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import eligible, shipped_handoffs, states_of
 from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import load_policy
-from mjx_grasp.records.atomic import read_json, write_json
+from mjx_grasp.records.atomic import check_replaceable, read_json, write_json
 from mjx_grasp.records.journal import Journal, goes_on
 from mjx_grasp.records.provenance import file_digests, provenance
 from mjx_grasp.records.settings import CommandSettings, Count, Positive, Seed, to_record
@@ -199,6 +199,7 @@ def _sums(trials: Trials, objects: int) -> dict[str, Any]:
 
 def main(config: AblationConfig) -> None:
     """Evaluates the runs, one after the other."""
+    check_replaceable("--out", config.out, [SCHEMA])
     made = provenance(config.seed)
     folders = [folder for given in config.runs for folder in finished_runs(given)]
     settings = {folder: stored_config(folder) for folder in folders}

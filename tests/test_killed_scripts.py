@@ -13,6 +13,7 @@ import pytest
 from loaded import script
 from on_cores import run_on_cores
 
+from mjx_grasp.errors import InputError
 from mjx_grasp.records.atomic import write_json
 from mjx_grasp.training.config import settings_of
 
@@ -209,3 +210,20 @@ def test_two_processes_write_what_one_does(name, tmp_path):
     assert found[0] == found[1] and found[0]
     pictures = [path.read_bytes() for path in tmp_path.glob("*.png")]
     assert len(set(pictures)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "more"),
+    [
+        ("pose_error", "PoseErrorConfig", {}),
+        ("sensitivity", "SensitivityConfig", {}),
+        ("policy_ablation", "AblationConfig", {"runs": (Path("none"),)}),
+    ],
+)
+def test_another_file_is_not_written_over(tmp_path, monkeypatch, name, config, more):
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+    module, out = script(name), tmp_path / "mine.json"
+    out.write_text('{"a": 1}')
+    with pytest.raises(InputError, match=r"--out: found .*mine\.json, which is another file"):
+        module.main(getattr(module, config)(out=out, **more))
+    assert out.read_text() == '{"a": 1}'

@@ -69,20 +69,20 @@ def git_revision() -> str:
         ).stdout.strip()
 
     stamp = _root() / "REVISION"
-    copied = stamp.read_text().strip() if stamp.is_file() else _unknown()
+    copied = stamp.read_text().strip() if stamp.is_file() else None
     try:
         if Path(git("rev-parse", "--show-toplevel")).resolve() != _root():
-            return copied
+            return copied or _unknown()
         revision = git("rev-parse", "HEAD")
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", *_RESULTS)
         new = git("ls-files", "--others", "--exclude-standard", "--", *_SOURCES)
     except (OSError, subprocess.CalledProcessError):
-        return copied
+        return copied or _unknown()
     try:
-        if stamp.is_file():
+        if copied:
             git("cat-file", "-e", copied.removesuffix(_DIRTY) + "^{commit}")
     except subprocess.CalledProcessError:
-        return copied
+        return copied or _unknown()
     return revision + (_DIRTY if changed or new else "")
 
 

@@ -39,10 +39,10 @@ def written(path, *rows):
     write_results(path, list(rows), provenance(0), load_robot().identity)
 
 
-def ours(names):
+def ours(names, lifted=8):
     rows = []
     for name in names:
-        rows += [row(name, "policy", 8, None, force_budget_n=3.0)]
+        rows += [row(name, "policy", lifted, None, force_budget_n=3.0)]
         rows += [row(name, "policy", 1, None, force_budget_n=6.0)]
         rows += [row(name, "policy", 1, None, offset=10.0, force_budget_n=3.0)]
         rows += [row(name, "squeeze", 4, 3.0), row(name, "squeeze", 1, 5.0)]
@@ -63,12 +63,12 @@ def test_the_eight_stand_beside_what_is_published(tables, tmp_path):
     assert tables.eight(tmp_path) == tables.NOTHING, "the published setting is missing"
     written(tmp_path / "paper_preset" / "eight.json", *preset(NAMES))
     assert tables.eight(tmp_path) == tables.NOTHING
-    written(tmp_path / "beside" / "gate.json", *ours(NAMES))
+    written(tmp_path / "beside" / "gate.json", *ours(NAMES, lifted=7))
     lines = [cells(line) for line in tables.eight(tmp_path).splitlines()[2:]]
     by_name = {line[0]: line[1:] for line in lines}
     assert by_name["sugar_box"] == [
         "100.0",
-        "100.0",
+        "87.5",
         "75.0",
         "93.9",
         "50.0",
@@ -78,10 +78,10 @@ def test_the_eight_stand_beside_what_is_published(tables, tmp_path):
     ]
     mean = by_name["**mean**"]
     assert [cell.split()[0] for cell in mean] == [
-        "**100.0**", "**100.0**", "**75.0**", "**91.9**",
+        "**100.0**", "**87.5**", "**75.0**", "**91.9**",
         "**50.0**", "**50.0**", "**25.0**", "**56.1**",
     ]  # fmt: skip
-    assert by_name["never lifted"] == ["0.0", "0.0", "25.0", "4.9", "50.0", "50.0", "75.0", "23.8"]
+    assert by_name["never lifted"] == ["0.0", "12.5", "25.0", "4.9", "50.0", "50.0", "75.0", "23.8"]
     assert by_name["force per finger"] == [*3 * ["2.0 N"], "", *3 * ["2.0 N"], ""]
     assert by_name["trials of each"] == [*3 * ["8"], "448", *3 * ["8"], "448"]
     assert list(by_name)[: len(NAMES)] == list(NAMES)

@@ -1,13 +1,13 @@
 """`python -m mjx_grasp.demo`: one grasp from home, as a film and a page."""
 
-from functools import partial
-
 from mjx_grasp.cli import run_command, starting
 
 
 def main() -> None:
     """Parses the command line, grasps, films, writes the page."""
     with starting():
+        from functools import partial
+
         from rich.console import Console
 
         from mjx_grasp.records.command_line import parsed

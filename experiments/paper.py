@@ -236,7 +236,7 @@ def main(config: PaperConfig) -> None:
         return not any(done(kept.commands, form, scans) for form in forms)
 
     def stays(command: str) -> bool:
-        """Nor where what it reads is made again."""
+        """Full results stay with `--quick`, though what they were made from is made again."""
         full = whole.get(command, command)
         return full != command and done(kept.commands, full, scans)
 

@@ -43,8 +43,25 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 """Other words for parts and sides."""
 
 _NEGATIONS = frozenset(
-    "not no never without avoid except nowhere nothing neither nor away far opposite rather "
-    "instead dont cannot".split()
+    [
+        "not",
+        "no",
+        "never",
+        "without",
+        "avoid",
+        "except",
+        "nowhere",
+        "nothing",
+        "neither",
+        "nor",
+        "away",
+        "far",
+        "opposite",
+        "rather",
+        "instead",
+        "dont",
+        "cannot",
+    ]
 )
 _OTHER_NOTS = re.compile(r"n['’]t\b|\b(?:any|every|all)\w*\s+but\b")
 

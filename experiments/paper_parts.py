@@ -339,6 +339,19 @@ PARTS = (
         if_named="an hour and a half of one H200",
     ),
     Part(
+        "policy-ablation",
+        "not of it: trainings of the preset `gpu` but for one thing, three seeds of each",
+        (
+            f"-m mjx_grasp.tune experiments/policy_ablation.yaml --out {FOLDER}/policy-ablation "
+            "--together --gpus 0.5 --flags '--objects-dir SCANS'",
+            f"experiments/policy_ablation.py {FOLDER}/policy-ablation --objects-dir SCANS "
+            "--budgets 1.5 3 8",
+        ),
+        without_gpu="some weeks of a few cores",
+        not_quick="it trains",
+        if_named="half an hour of one H200",
+    ),
+    Part(
         "end-to-end",
         "the baseline: one policy from home to the lift, as published and with our settings",
         (STATES, *_end_to_end(END_TO_END_RUNS, drawn=END_TO_END_RUNS)),

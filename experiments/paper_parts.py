@@ -329,7 +329,7 @@ PARTS = (
             f"--max-rounds 4 --objects-dir SCANS --processes SHARERS --out {FOLDER}/near.npz",
             JUDGES,
             f"-m mjx_grasp.tune experiments/paper_ablation.yaml --out {FOLDER}/ablation --together "
-            "--flags '--objects-dir SCANS'",
+            "--flags='--objects-dir SCANS'",
             f"experiments/policy_ablation.py {FOLDER}/ablation --objects-dir SCANS --as-trained "
             f"--handoffs {FOLDER}/judges.npz --budgets 3 --squeezes 1 2 3 5 "
             "--out experiments/results/paper_ablation.json",
@@ -343,7 +343,7 @@ PARTS = (
         "not of it: trainings of the preset `gpu` but for one thing, three seeds of each",
         (
             f"-m mjx_grasp.tune experiments/policy_ablation.yaml --out {FOLDER}/policy-ablation "
-            "--together --gpus 0.5 --flags '--objects-dir SCANS'",
+            "--together --gpus 0.5 --flags='--objects-dir SCANS'",
             f"experiments/policy_ablation.py {FOLDER}/policy-ablation --objects-dir SCANS "
             "--budgets 1.5 3 8",
         ),

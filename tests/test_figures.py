@@ -67,24 +67,44 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     unheld = changes(replace(preset, task=replace(preset.task, reward=reward), ppo=ppo))
     assert unheld == {"task.reward.held": 0.0, "ppo.iterations": 240}
 
-    sums = {"trials": 8, "success_percent": 87.5, "force_mean_n": 2.0, "within_3n_percent": 75.0}
-    sums |= {"condition": "hard", "budget_n": 1.5}
+    def row(name, seed, changes, of):
+        each = [
+            {"trials": 8, "condition": "hard", "budget_n": b, "success_percent": s}
+            | {"force_mean_n": f, "within_3n_percent": 75.0}
+            for b, s, f in of
+        ]
+        return {
+            "run": f"{name}-seed{seed}",
+            "seed": seed,
+            "changes": {"ppo.iterations": 120} | changes,
+            "env_steps": 15_728_640,
+            "evaluations": each,
+        }
+
+    changed = {"task.reward.held": 0.0}
     rows = [
-        {"run": "b", "seed": 0, "changes": unheld, "evaluations": [sums]},
-        {"run": "a", "seed": 1, "changes": {"ppo.iterations": 240}, "evaluations": [sums]},
+        row("preset", 0, {}, [(1.5, 50.0, 1.0), (8.0, 87.5, 3.0)]),
+        row("preset", 1, {}, [(1.5, 75.0, 1.0), (8.0, 87.5, 3.0)]),
+        row("unheld", 0, changed, [(1.5, 87.5, 1.5), (8.0, 100.0, 3.5)]),
+        row("unheld", 1, changed, [(1.5, 62.5, 2.5), (8.0, 75.0, 3.5)]),
     ]
-    for each in rows:
-        each["env_steps"] = 15_728_640
     path = tmp_path / "ablation.json"
-    path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
-    text = script("policy_tables").ablation(path)
-    first, second = text.splitlines()[-2:]
-    assert first == "| preset | 1 | 87.5 at 2.0 / 75.0 |"
-    assert second == "| `task.reward.held` 0 | 0 | 87.5 at 2.0 / 75.0 |"
-    assert "| differs in | seed | hard, 1.5 N |" in text and "with 15.7 M steps" in text
+    path.write_text(json.dumps({"rows": rows[::-1]}))
+    *said, header, _, first, second = script("policy_tables").ablation(path).splitlines()
+    assert header == "| setting | hard, 1.5 N | hard, 8 N |"
+    assert first == "| `preset` | 62.5 (75, 50) at 1.0 | 87.5 (88, 88) at 3.0 |"
+    # Half way between the preset's two budgets: 75 at 2 N; beyond the larger it says nothing.
+    assert second == (
+        "| `unheld`: `task.reward.held` 0 | 75.0 (88, 62) at 2.0: +0.0 | 87.5 (100, 75) at 3.5 |"
+    )
+    assert "with 15.7 M steps" in said[0] and "2 seeds of each" in said[0]
+    assert "differ by 18.8 points" in said[0]
+    path.write_text(json.dumps({"rows": rows[:3]}))
+    with pytest.raises(FileError, match="as many seeds of each"):
+        script("policy_tables").ablation(path)
     rows[0]["env_steps"] = 1
-    path.write_text(json.dumps({"schema": "mjx_grasp.policy_ablation/1", "rows": rows}))
-    with pytest.raises(FileError, match="runs of the same length"):
+    path.write_text(json.dumps({"rows": rows}))
+    with pytest.raises(FileError, match="all of the same length"):
         script("policy_tables").ablation(path)
 
 

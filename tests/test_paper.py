@@ -1,19 +1,24 @@
 """`experiments/paper.py`: parts by name, what counts as done, and what its commands are."""
 
 import json
+import re
 import shlex
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import tyro
 from loaded import script
 from rich.console import Console
 
 from mjx_grasp.errors import InputError, MjxGraspError
 from mjx_grasp.evaluation.grasps.blocks import blocks_of
 from mjx_grasp.records.spread import Spread
+from mjx_grasp.training.command_line import parse
+from mjx_grasp.training.tuning import TuneConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -33,6 +38,24 @@ def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(plai
         module = words[0] == "-m"
         file = ROOT / (f"{words[1].replace('.', '/')}.py" if module else words[0])
         assert file.is_file(), file
+
+
+def test_every_command_is_one_that_its_own_parser_takes(plain, monkeypatch):
+    monkeypatch.setattr(plain, "has_gpu", lambda: True)
+    monkeypatch.setattr("mjx_grasp.training.config.has_gpu", lambda: True)
+    parsers = {
+        "mjx_grasp.tune": partial(tyro.cli, TuneConfig),
+        "mjx_grasp.train": lambda args: parse(list(args)),
+    }
+    for command in dict.fromkeys(c for part in plain.PARTS for c in part.commands):
+        words = plain.worded(command, ROOT / "some scans")
+        kind, *args = words[1:] if words[0] == "-m" else words
+        if kind.endswith(".py") and kind.startswith("experiments/"):
+            ends = re.search(r"tyro\.cli\((?:script\.)?(\w+)", (ROOT / kind).read_text())
+            found = getattr(script(Path(kind).stem), ends[1])
+            assert tyro.cli(found, args=args), command
+        elif kind in parsers:
+            assert parsers[kind](args=args), command
 
 
 def test_trainings_that_are_made_again_take_the_place_of_their_rows(plain):

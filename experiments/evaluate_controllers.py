@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -47,6 +47,7 @@ from mjx_grasp.records.settings import (
     NonNegative,
     Positive,
     Seed,
+    Several,
     added,
     from_record,
     to_record,
@@ -96,7 +97,7 @@ class ComparisonConfig(Spread):
     handoffs: Path | None = None
     """handoff set; the shipped one by default"""
     states: Literal["evaluation", "training", "all"] = "evaluation"
-    conditions: tuple[Condition, ...] = ("nominal",)
+    conditions: Annotated[tuple[Condition, ...], Several(once=True)] = ("nominal",)
     """of nominal (object offset ±5 mm, friction 0.8) and what differs from it: offset10 (±10 mm and
     5°), offset20 (±20 mm and 10°), friction04, friction05, friction11, light (half the mass), heavy
     (twice), hard (±10 mm, friction 0.5), soft (half the position gains of the fingers), stiff

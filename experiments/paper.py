@@ -173,6 +173,9 @@ class Kept:
         self.path = path
         self.commands: dict[str, Any] = kept.get("commands", {})
         self.runs: list[dict[str, Any]] = kept.get("runs", [])
+        whole = isinstance(self.commands, dict) and isinstance(self.runs, list)
+        if not whole or not all(map(_is_note, [*self.commands.values(), *self.runs])):
+            raise FileError(path, "commands or runs of another kind", f"{what}, undamaged")
 
     def begin(self, commands: Iterable[str]) -> None:
         """What is made again is not done, whatever comes of it, and in whatever form it was."""
@@ -201,6 +204,11 @@ class Kept:
     def _write(self) -> None:
         record = {"commands": self.commands, "runs": self.runs, "provenance": provenance(seed=0)}
         write_json(self.path, {"schema": SCHEMA} | record)
+
+
+def _is_note(noted: Any) -> bool:
+    """Whether it says when something was made, as `_on_this_machine` does."""
+    return isinstance(noted, dict) and isinstance(noted.get("seconds"), int | float)
 
 
 def _on_this_machine(seconds: float) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import tyro
 from loaded import script
 from rich.console import Console
 
-from mjx_grasp.errors import InputError, MjxGraspError
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.grasps.blocks import blocks_of
 from mjx_grasp.records.spread import Spread
 from mjx_grasp.training.command_line import parse
@@ -121,6 +121,29 @@ def test_the_paper_is_made_part_by_part_and_goes_on_where_it_stopped(paper, tmp_
     module.main(replace(config, parts=("one",)))
     assert paper.ran.read_text() == "12LL12L"
     assert "0 min left" in capsys.readouterr().err
+
+
+_NOTED = {"git": "abc", "seconds": 1.0, "machine": "here"}
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        {"commands": [_NOTED]},
+        {"commands": {"a.py": "done"}},
+        {"commands": {"a.py": {"git": "abc"}}},
+        {"runs": {"a": _NOTED}},
+        {"runs": [7]},
+    ],
+)
+def test_a_damaged_state_of_the_paper_is_refused(plain, tmp_path, kept):
+    path = tmp_path / "state.json"
+    path.write_text(json.dumps({"schema": plain.SCHEMA} | kept))
+    with pytest.raises(FileError, match=r"state\.json: found commands or runs of another kind"):
+        plain.Kept(path)
+    whole = {"commands": {"a.py": _NOTED}, "runs": [_NOTED | {"parts": []}]}
+    path.write_text(json.dumps({"schema": plain.SCHEMA} | whole))
+    assert plain.Kept(path).commands == whole["commands"]
 
 
 @pytest.mark.parametrize("what", ["scans", "uncommitted"])

@@ -133,6 +133,9 @@ class HandoffConfig(ObjectsConfig, Spread):
             name = "gate" if self.gate != "default" else "gate_midpoint"
             expected = "with --kind reached or mixed alone: inverse kinematics has no gate"
             raise InputError(self.name_of(name), getattr(self, name), expected)
+        if self.kind != "mixed" and self.reached_share != type(self).reached_share:
+            expected = f"with --kind mixed alone: all or none are reached with --kind {self.kind}"
+            raise InputError(self.name_of("reached_share"), self.reached_share, expected)
         if self.kind == "mixed" and 0 in self.shares(self.per_object):
             expected = f"a share of {self.per_object} states per object with one of each kind"
             raise InputError(self.name_of("reached_share"), self.reached_share, expected)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -65,8 +66,26 @@ class ObjectModel:
         return GRAVITY * self.mass
 
 
+class Shape(NamedTuple):
+    """What an object looks like, before anything is worked out from it; object frame."""
+
+    name: str
+    mesh: trimesh.Trimesh
+    """[m]"""
+    parts: Mapping[str, Part]
+    """Named parts."""
+
+
 def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
     """The mesh of an object in its own frame [m]: a scan, a parametric stand-in or a user's mesh.
+
+    Arguments and errors are those of `object_shape`.
+    """
+    return object_shape(name, objects_dir).mesh
+
+
+def object_shape(name: str, objects_dir: Path | None) -> Shape:
+    """The mesh of an object, and its parts, without what takes long to work out.
 
     Args:
         name: A name of the catalogue, or a mesh file.
@@ -74,9 +93,10 @@ def object_mesh(name: str, objects_dir: Path | None) -> trimesh.Trimesh:
 
     Raises:
         InputError: An unknown name.
-        FileError: The scan or mesh is missing or unusable.
+        FileError: The scan or mesh, or the file of parts beside it, is missing or unusable.
     """
-    return _shape(_one(name), objects_dir)[0]
+    asked = _one(name)
+    return Shape(asked.name, *_shape(asked, objects_dir))
 
 
 _HEAVIEST = 22_600.0  # kg/m³, the density of osmium

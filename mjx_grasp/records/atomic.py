@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -20,16 +21,17 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """Yields a temporary path in the target's folder; on success it replaces ``path`` atomically.
 
     The temporary name keeps the suffix, so that writers which look at it work. When the block
-    raises, the target is untouched and the temporary file is removed.
+    raises, the target is untouched and the temporary file is removed. Of a link it is the file
+    behind it that is replaced, and whoever may read and write a file still may.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(0o644)
+        temporary.chmod(stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o644)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

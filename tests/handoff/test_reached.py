@@ -258,6 +258,8 @@ def test_gates_are_those_that_are_asked_for(tmp_path):
     [
         ({"kind": "ik", "gate": "paper"}, "--gate"),
         ({"kind": "ik", "gate_midpoint": 0.02}, "--gate-midpoint"),
+        ({"kind": "ik", "reached_share": 0.9}, "--reached-share"),
+        ({"kind": "reached", "reached_share": 0.9}, "--reached-share"),
         ({"gate_midpoint": 0.0}, "--gate-midpoint"),
         ({"kind": "mixed", "reached_share": 1.5}, "--reached-share"),
         ({"kind": "mixed", "reached_share": 0.0}, "--reached-share"),

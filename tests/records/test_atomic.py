@@ -36,6 +36,26 @@ def test_whoever_reads_while_a_file_is_replaced_has_the_old_one_whole(tmp_path):
     assert json.loads(path.read_text()) == {"new": 2}
 
 
+def test_a_link_stays_one_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    path, link = tmp_path / "elsewhere" / "a.json", tmp_path / "a.json"
+    link.symlink_to(path)
+    for content in ({"first": 1}, {"second": 2}):
+        write_json(link, content)
+        assert link.is_symlink() and json.loads(path.read_text()) == content
+    assert [each.name for each in path.parent.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o664])
+def test_whoever_may_read_a_file_still_may(tmp_path, mode):
+    path = tmp_path / "a.json"
+    write_json(path, {})
+    assert path.stat().st_mode & 0o777 == 0o644
+    path.chmod(mode)
+    write_json(path, {})
+    assert path.stat().st_mode & 0o777 == mode
+
+
 @pytest.mark.parametrize("content", ["no JSON", "{}", '{"schema": "theirs/1"}'])
 def test_only_files_of_their_kind_are_replaced(tmp_path, content):
     path = tmp_path / "a.json"

@@ -14,8 +14,9 @@ from mjx_grasp.errors import InputError
 from mjx_grasp.evaluation.grasps.kept import Trace
 from mjx_grasp.heatmap.compute import compute_heatmap, heatmap_surface
 from mjx_grasp.heatmap.steering import steer_to
+from mjx_grasp.language.grounding import GroundingError
 from mjx_grasp.objects.catalogue import load_catalogue
-from mjx_grasp.objects.model import object_mesh
+from mjx_grasp.objects.model import Shape, object_mesh
 from mjx_grasp.pipeline.known import STEERED_SCORE
 from mjx_grasp.sim.scene import build_scene
 from mjx_grasp.viz.demo import run
@@ -159,6 +160,22 @@ def test_how_far_from_the_anchor_contacts_are_is_in_its_own_unit():
     assert from_anchor(None, contacts) is None
 
 
+def _shape(obj):
+    """What an object looks like."""
+    return Shape(obj.name, obj.mesh, obj.parts)
+
+
+@pytest.mark.parametrize(
+    "asked", [{"instruction": "by the moustache"}, {"anchor": (1.0, 1.0, 1.0)}]
+)
+def test_a_place_is_looked_for_before_what_takes_long(tmp_path, monkeypatch, asked):
+    monkeypatch.setattr(run, "load_objects", lambda *_, **__: pytest.fail("convex pieces first"))
+    config = DemoConfig(object="mug", out=tmp_path / "out", **asked)
+    with pytest.raises((GroundingError, InputError), match=r"moustache|--anchor"):
+        run.run_demo(config, Console(quiet=True))
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_instruction_and_a_point_are_one_too_many():
     with pytest.raises(InputError, match="--instruction and --anchor"):
         DemoConfig(instruction="by the cap", anchor=(0.0, 0.0, 0.0))
@@ -176,10 +193,10 @@ def test_an_instruction_and_a_point_are_one_too_many():
 def test_an_anchor_far_from_the_object_is_refused_with_where_that_lies():
     box = handmade.box()  # ±30, ±20 and ±45 mm: as far away as 45 mm
     for near in ((0.074, 0.0, 0.0), (0.0, -0.064, 0.089)):
-        np.testing.assert_array_equal(place_of(box, DemoConfig(anchor=near)).point, near)
+        np.testing.assert_array_equal(place_of(_shape(box), DemoConfig(anchor=near)).point, near)
     for far in ((0.076, 0.0, 0.0), (0.0, -0.066, 0.0), (0.0, 0.0, 0.091), (20.0, 0.0, 50.0)):
         with pytest.raises(InputError, match=r"^--anchor: found \(.* near box.*0\.045\]") as error:
-            place_of(box, DemoConfig(anchor=far))
+            place_of(_shape(box), DemoConfig(anchor=far))
         assert error.value.found == far and "[m]" in error.value.expected
 
 
@@ -189,7 +206,7 @@ def test_the_place_is_to_blame_where_no_grasp_is_near_it_and_else_the_object(rob
     arrays = np.asarray(surface.vertices), np.asarray(surface.faces)
     heatmap = compute_heatmap(*arrays, None, (0.02, 0.09), 0.5)
     config = DemoConfig(anchor=(0.0, 0.0, 0.08), steering="between", sigma=0.002)
-    place = place_of(box, config)
+    place = place_of(_shape(box), config)
     with pytest.raises(InputError, match=r"^--anchor: found \(0\.0, 0\.0, 0\.08\).*--sigma"):
         steered_to(heatmap, place, config, robot.hand)
     best = heatmap.score_without_com.max()
@@ -247,7 +264,7 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
     on_stem = {}
     for steering in ("contacts", "axis"):
         config = DemoConfig(object="wine_glass", instruction="by the stem", steering=steering)
-        steered = steered_to(heatmap, place_of(glass, config), config, robot.hand)
+        steered = steered_to(heatmap, place_of(_shape(glass), config), config, robot.hand)
         expected = steer_to(heatmap, at, size, steering=steering)
         assert np.allclose(steered.score, expected / expected.max(), atol=1e-6)
         assert steered.score.max() == 1.0 and "part: stem" in steered.source
@@ -256,8 +273,8 @@ def test_an_instruction_steers_by_contacts_and_the_publications_formula_by_its_n
         contacts = np.concatenate([heatmap.thumb[good, None], heatmap.wrap[good]], axis=1)
         on_stem[steering] = np.abs(contacts - at).max(axis=1) <= size / 2 + 1e-3
     assert on_stem["contacts"].all() and not on_stem["axis"].all()
-    assert place_of(glass, DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
-    assert place_of(glass, DemoConfig()) is None
+    assert place_of(_shape(glass), DemoConfig(anchor=(0.0, 0.0, 0.1))).size.max() == 0.0
+    assert place_of(_shape(glass), DemoConfig()) is None
 
 
 def test_the_axis_of_forces_shows_the_estimated_ones_too_but_for_spikes():

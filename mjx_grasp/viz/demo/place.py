@@ -14,7 +14,7 @@ from mjx_grasp.heatmap.steering import Heatmap, steer_to
 from mjx_grasp.heatmap.summary import LEAST
 from mjx_grasp.language.grounding import Anchor, target_of
 from mjx_grasp.language.parts import PartGrounder
-from mjx_grasp.objects.model import ObjectModel
+from mjx_grasp.objects.model import Shape
 from mjx_grasp.pipeline.known import check_graspable
 from mjx_grasp.robot.description import HandSpec
 from mjx_grasp.viz.demo.config import DemoConfig
@@ -48,11 +48,11 @@ class Steered(NamedTuple):
         return np.vstack([self.heatmap.thumb[k], self.heatmap.wrap[k]])
 
 
-def place_of(obj: ObjectModel, config: DemoConfig) -> Anchor | None:
+def place_of(obj: Shape, config: DemoConfig) -> Anchor | None:
     """The place that is asked for, by a point or in words; None where there is none.
 
     Args:
-        obj: The object.
+        obj: The object, of which no more is needed.
         config: Of the demo.
 
     Raises:

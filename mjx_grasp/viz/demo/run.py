@@ -29,7 +29,7 @@ from mjx_grasp.evaluation.trajectory import record, save_trajectory
 from mjx_grasp.grasp.wrench_margin import ContactConfig
 from mjx_grasp.heatmap.compute import heatmap_of, heatmap_surface
 from mjx_grasp.objects.catalogue import resolve
-from mjx_grasp.objects.model import GRAVITY, ObjectModel, load_objects
+from mjx_grasp.objects.model import GRAVITY, ObjectModel, load_objects, object_shape
 from mjx_grasp.objects.momentum import net_wrench
 from mjx_grasp.pipeline.known import known_object
 from mjx_grasp.pipeline.phases import Phase
@@ -91,10 +91,11 @@ def run_demo(config: DemoConfig, console: Console) -> dict[str, Any]:
     budget, approach = config.force_budget, scenario.approach
     grasper = loaded_grasper(robot, file, budget, config.steers, approach)
     assert grasper.planner is not None
-    (obj,) = _one(load_objects([config.object], config.objects_dir, weight=config.weight), config)
+    # Before its convex pieces are worked out, which may take a while.
+    place = place_of(object_shape(config.object, config.objects_dir), config)
+    (obj,) = load_objects([config.object], config.objects_dir, weight=config.weight)
     if (doubt := too_heavy(scenario.mass_scale * obj.mass, max(budget, BUDGET_N))) is not None:
         console.print(f"{obj.name}: {doubt}", markup=False, highlight=False)
-    place = place_of(obj, config)
     with counting_progress(console, transient=True) as bar:
         clock = _Clock(bar)
         with clock.step("heatmap"):
@@ -165,13 +166,6 @@ def too_heavy(mass: float, force: float) -> str | None:
         f"{mass:.3g} kg; fingers that press with {force:g} N each carry about {most:.2g} kg by a "
         f"friction of {friction:g}, so it may well stay where it is"
     )
-
-
-def _one(objects: Any, config: DemoConfig) -> tuple[ObjectModel, ...]:
-    found = tuple(objects)
-    if len(found) != 1:
-        raise InputError("object", config.object, f"one object, not {len(found)}")
-    return found
 
 
 def _title(obj: ObjectModel, steered: Steered, happens: str | None) -> str:

@@ -30,7 +30,7 @@ from mjx_grasp.evaluation.trials import (
 )
 from mjx_grasp.handoff.dataset import HandoffSet, load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, with_states
-from mjx_grasp.learning.controller import deployed_task, load_controller
+from mjx_grasp.learning.controller import deployed_task, load_controller, policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.objects.catalogue import find_objects
 from mjx_grasp.objects.model import ObjectModel, load_objects
@@ -121,7 +121,7 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
     made, robot = provenance(config.seed), load_robot()
     policy_file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
-    policy, stored = load_controller(policy_file, robot), load_handoffs(handoffs, robot=robot)
+    policy, stored = load_comparable(policy_file, robot), load_handoffs(handoffs, robot=robot)
     identity = {
         "schema": schema,
         "settings": to_record(unspread(config)),
@@ -144,6 +144,20 @@ def compared(config: ComparedConfig, schema: str, what: str) -> Comparison:
         take_known(record, config.known, alone, what)
     objects = load_objects(config.objects, config.objects_dir)
     return Comparison(record, contestants, names, objects, robot, states)
+
+
+def load_comparable(path: Path, robot: RobotSpec) -> Policy:
+    """Reads a policy that can stand beside a squeeze, in worlds that go on as long a tick as both.
+
+    Raises:
+        FileError: It is unreadable, of another robot or task, or has another control period.
+    """
+    policy = load_controller(path, robot)
+    its, ours = policy_task(policy).control_dt, TaskConfig().control_dt
+    if its != ours:
+        expected = f"{1e3 * ours:g} ms, that of squeeze and grip"
+        raise FileError(path, f"a control period of {1e3 * its:g} ms", expected)
+    return policy
 
 
 def contestants_of(

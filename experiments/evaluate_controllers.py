@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
+from compared import load_comparable
 from jaxtyping import Bool
 from rich.console import Console
 
@@ -38,7 +39,7 @@ from mjx_grasp.evaluation.tables import success_table
 from mjx_grasp.evaluation.trials import evenly, incidents, room_for
 from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.states import shipped_handoffs, with_states
-from mjx_grasp.learning.controller import load_controller, policy_task
+from mjx_grasp.learning.controller import policy_task
 from mjx_grasp.learning.policy import Policy
 from mjx_grasp.records.journal import Journal, goes_on, journaled
 from mjx_grasp.records.provenance import file_digests, provenance
@@ -277,7 +278,7 @@ def _load(config: ComparisonConfig) -> _Evaluator:
     file = config.policy or asset_path("policy.npz")
     handoffs = config.handoffs or shipped_handoffs(config.objects_dir)
     robot = load_robot()
-    policy, stored = load_controller(file, robot), load_handoffs(handoffs, robot=robot)
+    policy, stored = load_comparable(file, robot), load_handoffs(handoffs, robot=robot)
     scene = build_scene_of(config.objects, config.objects_dir, robot, SceneConfig())
     names, without, states = with_states(scene.object_names, stored, config.states)
     if not names:

@@ -345,7 +345,7 @@ PARTS = (
             f"-m mjx_grasp.tune experiments/policy_ablation.yaml --out {FOLDER}/policy-ablation "
             "--together --gpus 0.5 --flags='--objects-dir SCANS'",
             f"experiments/policy_ablation.py {FOLDER}/policy-ablation --objects-dir SCANS "
-            "--budgets 1.5 3 8",
+            "--budgets 3 12 --episodes 16",
         ),
         without_gpu="some weeks of a few cores",
         not_quick="it trains",

@@ -6,12 +6,16 @@ import copy
 import importlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from mjx_grasp.assets import asset_path
 from mjx_grasp.errors import FileError
+from mjx_grasp.learning.policy import load_policy
+from mjx_grasp.robot.spec import load_robot
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
 
@@ -46,6 +50,20 @@ def earlier(tmp_path: Path) -> Path:
     path = tmp_path / "earlier.json"
     path.write_text(json.dumps(EARLIER))
     return path
+
+
+def test_a_policy_of_another_control_period_stands_beside_no_squeeze(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+    load_comparable = importlib.import_module("compared").load_comparable
+    shipped = load_policy(asset_path("policy.npz"))
+    assert load_comparable(asset_path("policy.npz"), load_robot()).meta == shipped.meta
+    meta = copy.deepcopy(shipped.meta)
+    meta["task"]["control_dt"] = 0.02
+    replace(shipped, meta=meta).save(tmp_path / "slow.npz")
+    with pytest.raises(FileError, match=r"slow\.npz: found a control period of 20 ms, expected 10"):
+        load_comparable(tmp_path / "slow.npz", load_robot())
 
 
 def test_controllers_without_a_policy_are_taken_with_their_origin(

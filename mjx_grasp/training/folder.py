@@ -127,7 +127,31 @@ def open_run(
         shipped: The shipped set that is copied, if one is.
         command: What the files say they were made by; by default what started this process.
         extra_terms: Reward terms beside the task's own, of which the names are kept.
+
+    Raises:
+        FileError: Another run has been opened there meanwhile.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        (folder / "config.json").touch(exist_ok=False)
+    except FileExistsError:
+        found = "a run that was begun there at the same time"
+        raise FileError(folder, found, "another --out") from None
+    try:
+        _write_opening(config, folder, stored, shipped, command, extra_terms)
+    except BaseException:
+        discard_run(folder)
+        raise
+
+
+def _write_opening(
+    config: TrainConfig,
+    folder: Path,
+    stored: HandoffSet | None,
+    shipped: Path | None,
+    command: str | None,
+    extra_terms: Sequence[RewardTerm],
+) -> None:
     begun_with = start_file(config)
     files = {"handoffs": config.handoffs, "shipped_handoffs": shipped}
     digests = file_digests(**files, start_from=begun_with)
@@ -158,8 +182,11 @@ def note_resumed(folder: Path, made: dict[str, Any]) -> None:
         FileError: The run's provenance cannot be read.
     """
     path = folder / "provenance.json"
-    began = read_json(path, "the provenance of the run to resume")
+    expected = "the provenance of the run to resume"
+    began = read_json(path, expected)
     resumed = began.get("resumed", [])
+    if not isinstance(resumed, list) or not all(isinstance(each, dict) for each in resumed):
+        raise FileError(path, f"resumed = {resumed!r}", expected)
     last = resumed[-1] if resumed else began
     if any(made[name] != last.get(name) for name in ("git", "versions", "device")):
         write_json(path, began | {"resumed": [*resumed, made]})

@@ -14,10 +14,10 @@ from mjx_grasp.handoff.dataset import load_handoffs
 from mjx_grasp.handoff.shipped import SHIPPED, shipped_for
 from mjx_grasp.objects.catalogue import resolve
 from mjx_grasp.objects.model import stand_in_hash
-from mjx_grasp.records.atomic import read_json
+from mjx_grasp.records.atomic import read_json, write_json
 from mjx_grasp.records.provenance import file_digests
 from mjx_grasp.training.config import settings_of
-from mjx_grasp.training.folder import as_begun, open_run
+from mjx_grasp.training.folder import as_begun, note_resumed, open_run
 from mjx_grasp.training.start import handoffs_wanted, made_handoffs
 
 CUBE, STAND_INS, SCANS = (each.path for each in SHIPPED)
@@ -85,6 +85,39 @@ def test_a_run_says_by_their_digest_that_it_began_with_the_shipped_states(cpu, t
 
     assert digests(CUBE)["shipped_handoffs"] == file_digests(x=CUBE)["x"]
     assert "shipped_handoffs" not in digests(None)
+
+
+def test_of_two_runs_begun_in_one_folder_the_first_has_it(cpu, tmp_path):
+    open_run(cpu, tmp_path / "run", None, CUBE, None, ())
+    files = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    assert {"config.json", "provenance.json"} <= set(files)
+    with pytest.raises(FileError, match="run: found a run that was begun there at the same time"):
+        open_run(replace(cpu, seed=7), tmp_path / "run", None, CUBE, None, ())
+    assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == files
+
+
+def test_a_run_that_cannot_be_opened_leaves_nothing(cpu, tmp_path, monkeypatch):
+    monkeypatch.setattr("mjx_grasp.training.folder.copy_file", _full_disk)
+    with pytest.raises(OSError, match="no space left"):
+        open_run(cpu, tmp_path / "run", None, CUBE, None, ())
+    assert not list(tmp_path.iterdir())
+
+
+def _full_disk(*_):
+    raise OSError("no space left")
+
+
+@pytest.mark.parametrize("resumed", ["twice", [3], {}])
+def test_a_provenance_that_says_strange_things_of_resuming_is_refused(cpu, tmp_path, resumed):
+    open_run(cpu, tmp_path, None, CUBE, None, ())
+    path = tmp_path / "provenance.json"
+    began = read_json(path, "provenance")
+    made = {name: began[name] for name in ("git", "versions", "device")}
+    note_resumed(tmp_path, made | {"device": "another"})
+    assert read_json(path, "provenance")["resumed"] == [made | {"device": "another"}]
+    write_json(path, began | {"resumed": resumed})
+    with pytest.raises(FileError, match=r"provenance\.json: found resumed = "):
+        note_resumed(tmp_path, made)
 
 
 def test_a_resumed_run_copies_only_what_it_began_with(cpu, tmp_path):

@@ -207,7 +207,7 @@ class Kept:
 
 
 def _is_note(noted: Any) -> bool:
-    """Whether it says when something was made, as `_on_this_machine` does."""
+    """Whether it says how long something took, as `_on_this_machine` does."""
     return isinstance(noted, dict) and isinstance(noted.get("seconds"), int | float)
 
 

@@ -2,13 +2,15 @@
 
 Each run is one command, and the first of them the preset itself:
 
-  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --out runs/reference
-  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --task.reward.held 0 --out runs/unheld
-  python experiments/policy_ablation.py runs/reference runs/unheld
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --out runs/preset-seed0
+  python -m mjx_grasp.train --preset gpu --ppo.iterations 120 --task.reward.held 0 \
+    --out runs/unheld-seed0
+  python experiments/policy_ablation.py runs/preset-seed0 runs/unheld-seed0
 
 lifts with their policies in native MuJoCo from states of the training set, so that what is chosen
 by this table is not chosen by the states that the results are made with. A run that is in the file
-already is replaced, unless it was judged alike by the same code; one that was being judged when the
+already is replaced, unless it was judged alike by the same code, and runs that were judged
+otherwise, with other budgets, say, are left out of it; one that was being judged when the
 script was killed keeps what was finished of it.
 """
 
@@ -209,8 +211,8 @@ def main(config: AblationConfig) -> None:
     names, _ = eligible(scene.object_names, stored)
     world = build_world(scene, states_of(stored, names, "training"), 0.01)
     kept = read_json(config.out, "an ablation table") if config.out.exists() else {"rows": []}
-    rows = {row["run"]: row for row in kept["rows"]}
     asked = to_record(replace(config, runs=(), out=Path()))
+    rows = {row["run"]: row for row in kept["rows"] if row.get("asked") == asked}
     identity = {"asked": asked, "sha256": file_digests(handoffs=config.handoffs)}
     journal = Journal(config.out, identity, made["git"])
 

@@ -382,6 +382,8 @@ def ablation(path: Path) -> str:
     settings: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         settings.setdefault(row["run"].rsplit("-seed", 1)[0], []).append(row)
+    if "preset" not in settings:
+        raise FileError(path, f"runs of {', '.join(settings)}", "some of `preset` among them")
     counts, lengths = {len(of) for of in settings.values()}, {row["env_steps"] for row in rows}
     if len(counts) > 1 or len(lengths) > 1:
         found = f"{sorted(counts)} seeds of {sorted(lengths)} steps"

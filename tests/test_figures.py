@@ -102,6 +102,9 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     path.write_text(json.dumps({"rows": rows[:3]}))
     with pytest.raises(FileError, match="as many seeds of each"):
         script("policy_tables").ablation(path)
+    path.write_text(json.dumps({"rows": rows[2:]}))
+    with pytest.raises(FileError, match="runs of unheld, expected some of `preset`"):
+        script("policy_tables").ablation(path)
     rows[0]["env_steps"] = 1
     path.write_text(json.dumps({"rows": rows}))
     with pytest.raises(FileError, match="all of the same length"):

@@ -16,8 +16,12 @@ from rich.console import Console
 
 from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.evaluation.grasps.blocks import blocks_of
+from mjx_grasp.evaluation.grasps.config import ScenariosConfig
+from mjx_grasp.evaluation.reach.poses import SweepConfig
+from mjx_grasp.handoff.config import HandoffConfig
 from mjx_grasp.records.spread import Spread
 from mjx_grasp.training.command_line import parse
+from mjx_grasp.training.plan import read_plan
 from mjx_grasp.training.tuning import TuneConfig
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,19 +47,27 @@ def test_every_command_is_of_this_repository_and_no_two_write_the_same_file(plai
 def test_every_command_is_one_that_its_own_parser_takes(plain, monkeypatch):
     monkeypatch.setattr(plain, "has_gpu", lambda: True)
     monkeypatch.setattr("mjx_grasp.training.config.has_gpu", lambda: True)
+
+    def planned(args):
+        config = tyro.cli(TuneConfig, args=args)
+        for run in read_plan(ROOT / config.plan, config.flags):
+            parse(list(run.flags))
+
     parsers = {
-        "mjx_grasp.tune": partial(tyro.cli, TuneConfig),
-        "mjx_grasp.train": lambda args: parse(list(args)),
+        "mjx_grasp.tune": planned,
+        "mjx_grasp.train": lambda args: parse(args),
+        "mjx_grasp.handoffs": partial(tyro.cli, HandoffConfig),
+        "mjx_grasp.scenarios": partial(tyro.cli, ScenariosConfig),
+        "mjx_grasp.sweep_reach": partial(tyro.cli, SweepConfig),
     }
     for command in dict.fromkeys(c for part in plain.PARTS for c in part.commands):
         words = plain.worded(command, ROOT / "some scans")
         kind, *args = words[1:] if words[0] == "-m" else words
-        if kind.endswith(".py") and kind.startswith("experiments/"):
+        if kind.startswith("experiments/"):
             ends = re.search(r"tyro\.cli\((?:script\.)?(\w+)", (ROOT / kind).read_text())
-            found = getattr(script(Path(kind).stem), ends[1])
-            assert tyro.cli(found, args=args), command
-        elif kind in parsers:
-            assert parsers[kind](args=args), command
+            tyro.cli(getattr(script(Path(kind).stem), ends[1]), args=args)
+        else:
+            parsers[kind](args=args)
 
 
 def test_trainings_that_are_made_again_take_the_place_of_their_rows(plain):

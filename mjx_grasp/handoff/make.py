@@ -31,7 +31,9 @@ from mjx_grasp.records.spread import unspread
 from mjx_grasp.robot.description import RobotSpec
 from mjx_grasp.robot.spec import load_robot
 
-_IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None}
+_ALONE: dict[str, Any] = {"reached_share": HandoffConfig.reached_share}
+"""What one kind knows nothing of."""
+_IK_ALONE: dict[str, Any] = {"kind": "ik", "gate": "default", "gate_midpoint": None, **_ALONE}
 """What a search for postures knows nothing of."""
 
 
@@ -176,7 +178,7 @@ def _makers(robot: RobotSpec, config: HandoffConfig) -> list[Maker]:
         alone = replace(config, **_IK_ALONE, per_object=ik)
         makers.append(HandoffGenerator(robot, alone).generate)
     if reached:
-        alone = replace(config, kind="reached", per_object=reached)
+        alone = replace(config, kind="reached", per_object=reached, **_ALONE)
         makers.append(ReachedGenerator(robot, alone).generate)
     return makers
 

@@ -8,7 +8,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,50 @@ from mjx_grasp.errors import FileError, InputError
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def replacing(path: str | Path, *, new: bool = False) -> Iterator[Path]:
     """Yields a temporary path in the target's folder; on success it replaces ``path`` atomically.
 
     The temporary name keeps the suffix, so that writers which look at it work. When the block
     raises, the target is untouched and the temporary file is removed. Of a link it is the file
-    behind it that is replaced, and whoever may read and write a file still may.
+    behind it that is replaced; modes and, where this is allowed, owners stay as they are.
+
+    Args:
+        path: The target.
+        new: Whether it may not be there yet.
+
+    Raises:
+        FileExistsError: It is, though it may not; of several that write at once, to all but one.
     """
-    path = Path(path).resolve()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    path = Path(path)
+    target = _behind_link(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=target.parent)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o644)
-        os.replace(temporary, path)
+        _as_before(temporary, target)
+        if new:
+            target.open("x").close()
+        os.replace(temporary, target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _behind_link(path: Path) -> Path:
+    """What a link leads to, there or not; any other path as it is."""
+    return path.resolve() if path.is_symlink() else path
+
+
+def _as_before(temporary: Path, path: Path) -> None:
+    """Gives a file mode and owner of the one that it replaces; whose it is may write it."""
+    if not path.exists():
+        temporary.chmod(0o644)
+        return
+    before = path.stat()
+    with suppress(OSError):  # only root may give files away
+        os.chown(temporary, before.st_uid, before.st_gid)
+    temporary.chmod(stat.S_IMODE(before.st_mode) | stat.S_IWUSR)
 
 
 def copy_file(source: str | Path, path: str | Path) -> None:
@@ -53,7 +79,10 @@ def check_writable(field: str, path: str | Path) -> None:
     Raises:
         InputError: It cannot be.
     """
-    path = Path(path)
+    try:
+        path = _behind_link(Path(path))
+    except (OSError, RuntimeError):
+        raise InputError(field, str(path), "a file, not a link that leads to itself") from None
     if not path.absolute().parent.exists():
         found = f"{path}, in a folder that does not exist ({path.parent})"
         raise InputError(field, found, "a file in a folder that is there")
@@ -131,7 +160,7 @@ def read_json(path: str | Path, expected: str) -> dict[str, Any]:
     return document
 
 
-def write_json(path: str | Path, content: Any, *, strict: bool = False) -> None:
+def write_json(path: str | Path, content: Any, *, strict: bool = False, new: bool = False) -> None:
     """Writes JSON, whole or not at all; paths and the like become text.
 
     Args:
@@ -139,9 +168,10 @@ def write_json(path: str | Path, content: Any, *, strict: bool = False) -> None:
         content: As `json.dumps` takes it.
         strict: Whether what JSON does not know is refused: numbers that are none, and what would
             become text.
+        new: As of `replacing`.
     """
     dump = partial(json.dumps, allow_nan=False) if strict else partial(json.dumps, default=str)
-    with replacing(path) as temporary:
+    with replacing(path, new=new) as temporary:
         temporary.write_text(_json(content, "\n", dump) + "\n")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from mjx_grasp.tasks.rewards import RewardTerm
 from mjx_grasp.training.config import TrainConfig
 from mjx_grasp.training.start import START, handoffs_wanted, start_file
 
-_OPENING = ("config.json", "provenance.json")
+_CONFIG, _PROVENANCE = "config.json", "provenance.json"
 """Files that are written when a run is opened."""
-_OF_A_RUN = "handoffs.npz", "policy.npz", "metrics.csv", "checkpoints"
+_OF_A_RUN = "handoffs.npz", "policy.npz", "metrics.csv", "checkpoints", _PROVENANCE, START
 """Files that a run that was opened would read or write over."""
 
 
@@ -131,32 +132,9 @@ def open_run(
     Raises:
         FileError: Another run has been opened there meanwhile.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        (folder / "config.json").touch(exist_ok=False)
-    except FileExistsError:
-        found = "a run that was begun there at the same time"
-        raise FileError(folder, found, "another --out") from None
-    try:
-        _write_opening(config, folder, stored, shipped, command, extra_terms)
-    except BaseException:
-        discard_run(folder)
-        raise
-
-
-def _write_opening(
-    config: TrainConfig,
-    folder: Path,
-    stored: HandoffSet | None,
-    shipped: Path | None,
-    command: str | None,
-    extra_terms: Sequence[RewardTerm],
-) -> None:
     begun_with = start_file(config)
     files = {"handoffs": config.handoffs, "shipped_handoffs": shipped}
     digests = file_digests(**files, start_from=begun_with)
-    if begun_with is not None:  # a later version of the package ships another
-        copy_file(begun_with, folder / START)
     made_of: dict[str, Any] = {"sha256": digests}
     made_of["extra_terms"] = [term.name for term in extra_terms]
     kind: str
@@ -166,9 +144,19 @@ def _write_opening(
     else:
         kind, reached = stored.kind, float(stored.reached.mean()) if len(stored) else 0.0
     made_of["handoffs"] = {"kind": kind, "reached_share": round(reached, 4)}
-    contents = (to_record(config), provenance(config.seed, command) | made_of)
-    for name, content in zip(_OPENING, contents, strict=True):
-        write_json(folder / name, content)
+    made = provenance(config.seed, command) | made_of
+    try:
+        write_json(folder / _CONFIG, to_record(config), new=True)
+    except FileExistsError:
+        found = "a run that was begun there at the same time"
+        raise FileError(folder, found, "another --out") from None
+    try:
+        if begun_with is not None:  # a later version of the package ships another
+            copy_file(begun_with, folder / START)
+        write_json(folder / _PROVENANCE, made)
+    except BaseException:
+        discard_run(folder)
+        raise
 
 
 def note_resumed(folder: Path, made: dict[str, Any]) -> None:
@@ -194,7 +182,7 @@ def note_resumed(folder: Path, made: dict[str, Any]) -> None:
 
 def discard_run(folder: Path) -> None:
     """Takes back what `open_run` wrote, for a run that cannot begin."""
-    for name in (*_OPENING, START):
+    for name in (START, _PROVENANCE, _CONFIG):  # which says last that the folder is taken
         (folder / name).unlink(missing_ok=True)
-    if not any(folder.iterdir()):
+    with suppress(OSError):  # there is more in it, or it is a link
         folder.rmdir()

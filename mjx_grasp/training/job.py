@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -119,13 +119,24 @@ def run_together(
     shipped = shipped_for(wanted, scene.objects) if stored is None else None
     shipped = as_begun(first, shipped)
     devices.wait("every process has looked at the folder")
-    for config, folder, command in zip(
-        configs, folders, commands or [None] * len(configs), strict=True
-    ):
-        if devices.writes and config.resume is None:
-            open_run(config, folder, stored, shipped, command, extra_terms)
-        elif devices.writes:
-            note_resumed(folder, provenance(config.seed, command))
+    told = commands or [None] * len(configs)
+
+    def open_all() -> None:
+        """Opens new runs, and notes in others what goes on with them: all, or none is new."""
+        opened = []
+        try:
+            for config, folder, command in zip(configs, folders, told, strict=True):
+                if config.resume is None:
+                    open_run(config, folder, stored, shipped, command, extra_terms)
+                    opened.append(folder)
+                else:
+                    note_resumed(folder, provenance(config.seed, command))
+        except BaseException:
+            for folder in opened:
+                discard_run(folder)
+            raise
+
+    _first_alone(devices, open_all)
     try:
         if stored is None or world is None:
             try:
@@ -137,9 +148,7 @@ def run_together(
             world = _build(scene, stored, first, console)
         runs = [
             Opened(folder, config, begin or start, command)
-            for folder, config, begin, command in zip(
-                folders, configs, resumed, commands or [None] * len(configs), strict=True
-            )
+            for folder, config, begin, command in zip(folders, configs, resumed, told, strict=True)
         ]
         _run(runs, devices, world, stored, console, extra_terms)
     except KeyboardInterrupt as interrupt:
@@ -151,6 +160,25 @@ def run_together(
             again = f"the script that gave the extra terms, with resume={str(folders[0])!r}"
         raise KeyboardInterrupt(f"{said}; continue with: {again}") from None
     return folders
+
+
+def _first_alone(devices: Devices, work: Callable[[], None]) -> None:
+    """Work of the first process, without which none goes on.
+
+    Raises:
+        MjxGraspError: It failed in the first process, which raises what came of it.
+    """
+    problem: BaseException | None = None
+    if devices.writes:
+        try:
+            work()
+        except BaseException as error:  # told once the others know
+            problem = error
+    (failed,) = devices.agreed(problem is not None)
+    if problem is not None:
+        raise problem
+    if failed:
+        raise MjxGraspError("the first process cannot begin and says why")
 
 
 class Opened(NamedTuple):

@@ -3,6 +3,8 @@
 import csv
 import dataclasses
 import itertools
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,7 @@ import tiny_training as tiny
 from rich.console import Console
 
 from mjx_grasp.assets import asset_path
-from mjx_grasp.errors import FileError, InputError
+from mjx_grasp.errors import FileError, InputError, MjxGraspError
 from mjx_grasp.learning.checkpoint import checkpoints, restore_checkpoint
 from mjx_grasp.learning.policy import load_policy
 from mjx_grasp.learning.ppo import init_state
@@ -113,6 +115,29 @@ def test_what_cannot_go_on_in_step_is_refused(tmp_path, monkeypatch, change, say
     with pytest.raises(InputError, match=says):
         job.run_together([first, dataclasses.replace(second, **change)], Console(quiet=True))
     assert not list(tmp_path.iterdir())
+
+
+def test_all_in_step_have_folders_or_none_has(tmp_path, monkeypatch):
+    opens = job.open_run
+
+    def open_run(config, *more):
+        if config.seed == SEEDS[1]:
+            raise OSError("no space left")
+        opens(config, *more)
+        assert (tmp_path / str(config.seed) / "config.json").exists()
+
+    monkeypatch.setattr(job, "open_run", open_run)
+    with pytest.raises(OSError, match="no space left"):
+        job.run_together(configs(tmp_path), Console(quiet=True))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("failed", [False, True])
+def test_no_process_goes_on_without_the_first(failed):
+    worked, devices = [], SimpleNamespace(writes=False, agreed=lambda *_: (failed,))
+    with pytest.raises(MjxGraspError, match="the first") if failed else nullcontext():
+        job._first_alone(devices, lambda: worked.append(1))
+    assert not worked, "which is the first one's"
 
 
 class Asked(Exception):

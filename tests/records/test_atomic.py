@@ -44,16 +44,41 @@ def test_a_link_stays_one_and_what_it_leads_to_is_replaced(tmp_path):
         write_json(link, content)
         assert link.is_symlink() and json.loads(path.read_text()) == content
     assert [each.name for each in path.parent.iterdir()] == ["a.json"]
+    link.unlink()
+    link.symlink_to(tmp_path / "elsewhere" / "without_a_suffix")
+    with replacing(link) as temporary:
+        assert temporary.suffix == ".json", "writers look at it"
+
+
+def test_links_that_lead_nowhere_good_are_told_before_the_work(tmp_path):
+    loop, astray = tmp_path / "loop.json", tmp_path / "astray.json"
+    loop.symlink_to(loop)
+    with pytest.raises(InputError, match="a link that leads to itself"):
+        check_writable("--out", loop)
+    astray.symlink_to(tmp_path / "missing" / "a.json")
+    with pytest.raises(InputError, match="in a folder that does not exist"):
+        check_writable("--out", astray)
+
+
+def test_of_those_who_write_a_new_file_the_first_does(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"first": 1}, new=True)
+    with pytest.raises(FileExistsError):
+        write_json(path, {"second": 2}, new=True)
+    assert read_json(path, "") == {"first": 1} and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o664])
-def test_whoever_may_read_a_file_still_may(tmp_path, mode):
+def test_modes_stay_but_for_whose_it_is(tmp_path, mode):
     path = tmp_path / "a.json"
     write_json(path, {})
     assert path.stat().st_mode & 0o777 == 0o644
     path.chmod(mode)
     write_json(path, {})
     assert path.stat().st_mode & 0o777 == mode
+    path.chmod(mode & 0o444)
+    write_json(path, {})
+    assert path.stat().st_mode & 0o777 == mode & 0o444 | 0o200, "who made it may go on with it"
 
 
 @pytest.mark.parametrize("content", ["no JSON", "{}", '{"schema": "theirs/1"}'])

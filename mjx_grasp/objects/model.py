@@ -99,7 +99,7 @@ def object_shape(name: str, objects_dir: Path | None) -> Shape:
     return Shape(asked.name, *_shape(asked, objects_dir))
 
 
-_HEAVIEST = 22_600.0  # kg/m³, the density of osmium
+_HEAVIEST, _LIGHTEST = 22_600.0, 1.2  # kg/m³, the densities of osmium and of air
 
 
 def _one(name: str | Path) -> Asked:
@@ -224,7 +224,7 @@ def _weighed(asked: Asked, mesh: trimesh.Trimesh, weight: Weight) -> tuple[float
     """The mass of an object [kg], and in words where it comes from.
 
     Raises:
-        InputError: No matter is so heavy.
+        InputError: No matter is so heavy, or none that lies on a table so light.
     """
     if asked.file is None:
         return load_catalogue()[asked.name].mass, "as in the catalogue"
@@ -233,10 +233,13 @@ def _weighed(asked: Asked, mesh: trimesh.Trimesh, weight: Weight) -> tuple[float
         return entry.mass, f"as the catalogue's {entry.name}; --mass or --density says otherwise"
     mass, said = weight.of(mesh.volume)
     most = _HEAVIEST * mesh.convex_hull.volume
-    if mass > most:
+    least = _LIGHTEST * mesh.volume
+    if not least <= mass <= most:
         field = "--density" if weight.mass is None else "--mass"
-        expected = f"{most:.3g} kg at most, as if it were of osmium; units are kg and m"
-        raise InputError(field, f"{mass:.3g} kg for {asked.name}", expected)
+        bound = f"{most:.3g} kg at most, as if it were of osmium"
+        if mass < least:
+            bound = f"{least:.3g} kg at least, what the air weighs in its place"
+        raise InputError(field, f"{mass:.3g} kg for {asked.name}", f"{bound}; units are kg and m")
     return mass, said
 
 

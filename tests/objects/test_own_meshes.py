@@ -83,6 +83,15 @@ def test_a_mass_in_grams_is_noticed(jug, cache, weight, flag):
         load_objects([str(jug)], cache_dir=cache, weight=weight)
 
 
+@pytest.mark.parametrize(
+    ("weight", "flag"), [(Weight(mass=3e-4), "--mass"), (Weight(density=0.5), "--density")]
+)
+def test_a_mass_in_tonnes_is_noticed(jug, cache, weight, flag):
+    expected = rf"{flag}: found '[\d.e-]+ kg for jug\.obj', .*kg at least.*units are kg"
+    with pytest.raises(InputError, match=expected):
+        load_objects([str(jug)], cache_dir=cache, weight=weight)
+
+
 def test_names_come_from_files_and_are_none_of_the_catalogues(jug, tmp_path, monkeypatch):
     others = tmp_path / "others"
     others.mkdir()

@@ -367,8 +367,9 @@ _ABLATION = (
     "steps of 2 ms from {trials} starts of the training set per condition and budget: success % of "
     "all seeds (of each) at the mean force in N; then how many points that is above the preset at "
     "the same force, which is read off straight lines between its own budgets, where it lies "
-    "between them. *Hard* is ±10 mm with friction 0.5; *other robot* has position gains off by up "
-    "to three tenths and commands up to 20 ms late. The starts are shared; seeds of one setting "
+    "between them. Success rises ever more slowly with force, so that these lines lie below what "
+    "the preset reaches there: a gain is at most as large, a loss at least. *Hard* is ±10 mm with "
+    "friction 0.5; *other robot* has position gains off by up to three tenths and commands up to 20 ms late. The starts are shared; seeds of one setting "
     "differ by {apart:.1f} points in the mean of all columns."
 )
 
@@ -449,7 +450,8 @@ def _differs(row: dict[str, Any]) -> dict[str, Any]:
 def in_words(value: Any) -> str:
     """A setting's value, as tables show it."""
     if isinstance(value, list):
-        return " to ".join(dict.fromkeys(f"{part:g}" for part in value))
+        parts = [*dict.fromkeys(f"{part:g}" for part in value)]
+        return (" to " if len(parts) == 2 else ", ").join(parts)
     if isinstance(value, bool):
         return "on" if value else "off"
     return f"{value:g}" if isinstance(value, int | float) else str(value)

@@ -81,7 +81,7 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
             "evaluations": each,
         }
 
-    changed = {"task.reward.held": 0.0}
+    changed = {"task.reward.held": 0.0, "seen": [0, 1, 10], "drawn": [0.5, 2.0]}
     rows = [
         row("preset", 0, {}, [(1.5, 50.0, 1.0), (8.0, 87.5, 3.0)]),
         row("preset", 1, {}, [(1.5, 75.0, 1.0), (8.0, 87.5, 3.0)]),
@@ -95,7 +95,8 @@ def test_the_table_of_short_trainings_names_what_each_run_changed(tmp_path, monk
     assert first == "| `preset` | 62.5 (75, 50) at 1.0 | 87.5 (88, 88) at 3.0 |"
     # Half way between the preset's two budgets: 75 at 2 N; beyond the larger it says nothing.
     assert second == (
-        "| `unheld`: `task.reward.held` 0 | 75.0 (88, 62) at 2.0: +0.0 | 87.5 (100, 75) at 3.5 |"
+        "| `unheld`: `task.reward.held` 0, `seen` 0, 1, 10, `drawn` 0.5 to 2 | "
+        "75.0 (88, 62) at 2.0: +0.0 | 87.5 (100, 75) at 3.5 |"
     )
     assert "with 15.7 M steps" in said[0] and "2 seeds of each" in said[0]
     assert "differ by 18.8 points" in said[0]

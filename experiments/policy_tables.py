@@ -370,7 +370,8 @@ _ABLATION = (
     "between them. Success rises ever more slowly with force, so that these lines lie below what "
     "the preset reaches there: a gain is at most as large, a loss at least. *Hard* is ±10 mm with "
     "friction 0.5; *other robot* has position gains off by up to three tenths and commands up "
-    "to 20 ms late. The starts are shared; seeds of one setting differ by {apart:.1f} points in the mean of all columns."
+    "to 20 ms late. The starts are shared; seeds of one setting differ by {apart:.1f} points in "
+    "the mean of all columns."
 )
 
 

@@ -275,6 +275,9 @@ def test_an_ablation_takes_folders_of_runs_and_judges_none_twice(tmp_path, monke
     stops.clear()
     module.main(replace(config, runs=(plan,), episodes=8))
     assert [name for name, _ in judged] == ["a-seed0", "a-seed1"]
+    module.main(replace(config, runs=(two,), episodes=4))
+    (left,) = json.loads(config.out.read_text())["rows"]
+    assert left["run"] == "a-seed1", "what was judged otherwise does not stand beside it"
     turned = replace(settings_of("paper").noise, angle_rad=0.1)
     assert module._felt(turned) is turned
     assert module._felt(settings_of("paper").noise) is module.CONDITIONS["other robot"]
